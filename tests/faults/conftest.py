@@ -10,12 +10,12 @@ import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
+from tests.trial_runs import run_trials
 
 from nw_base.protocol import STRICT
 from nw_base.trials import expand
 from nw_eval.engine.local import LocalProcesses
 from nw_eval.engine.plan import Plan, plan_jobs
-from nw_eval.engine.rounds import run_trials
 from nw_eval.suite.model import new_suite
 from nw_gate.results.journal import Journal, JournalHeader
 from nw_gate.results.request import Request

@@ -13,10 +13,11 @@ import pytest
 from nw_gate.results.journal import read_journal
 from nw_gate.results.row import rows_digest
 
+ROOT = Path(__file__).parents[2]
 SCRIPT = """
 import pickle, sys
 from pathlib import Path
-from nw_eval.engine.rounds import run_trials
+from tests.trial_runs import run_trials
 from nw_eval.engine.local import LocalProcesses
 from nw_gate.results.journal import Journal
 
@@ -68,6 +69,7 @@ def start(run, tmp_path):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
 
 

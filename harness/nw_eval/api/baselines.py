@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nw_base.errors import IncomparableError, NwEvalError, PolicyError
+from nw_eval.engine.how import How
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
@@ -176,9 +177,7 @@ def here(suite: str | Path, *, policy: str | None, **changes: Any) -> Here:
     gate = read.gate.model_copy(update={"baseline": None, "max_drop": None})
     alone = read.model_copy(update={"gate": gate})
     plan = plan_of(alone, policy=policy, record="none", **changes)
-    run = run_info(
-        plan, RunFolder(path=Path(read.name)), workers=None, in_process=False, command=()
-    )
+    run = run_info(plan, RunFolder(path=Path(read.name)), How())
     return Here(
         plan=plan,
         key=key_of(run),

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import getpass
 import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,10 +15,10 @@ from typing import TYPE_CHECKING, Any, Literal
 from nw_base.errors import IncomparableError, StoreError, TrialError, UsageError
 from nw_base.plural import plural
 from nw_eval.api.renamed import keywords_were
+from nw_eval.engine.how import How
 
 if TYPE_CHECKING:
     from nw_eval.api.baselines import Here
-    from nw_eval.engine.listener import Listener
     from nw_gate.results.bank import BaselineChange, BaselineResults
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
@@ -57,9 +56,6 @@ def save_baseline(
     run: str | Path | None = None,
     renew: bool = False,
     root: Path | None = None,
-    workers: int | None = None,
-    cache: bool = True,
-    listener: Listener | None = None,
     **changes: Any,
 ) -> SavedBaseline:
     """Save what a policy scores from every start of a panel: the baseline of later gates.
@@ -76,11 +72,8 @@ def save_baseline(
         run: the folder of a run to take the results from; nothing is run.
         renew: whether a baseline that is there is replaced, with the results of all machines.
         root: the folder of baselines; `reports/baselines` if None.
-        workers: processes; one for each core if None.
-        cache: as for `run`.
-        listener: hears of progress.
-        changes: of `Request`: checkpoint, render, time_limit, memory_limit,
-            allow_code.
+        changes: of `Request`: checkpoint, render, time_limit, memory_limit, allow_code; of `How`:
+            workers, cache, listener.
 
     Raises:
         UsageError, SuiteError, PolicyError: nothing was run.
@@ -96,12 +89,13 @@ def save_baseline(
 
     if trials is not None and trials < 1:
         raise UsageError(f"--trials {trials} is too low", fix="give at least 1")
+    how = How.taken_from(changes, "workers", "cache", "listener")
     place, info, rows = None, None, ()
     if run is None:
         place = here(suite, policy=policy, **changes)
         folder, own = place.plan.suite.name, place.policy.name
     else:
-        _check_decided({"policy": policy, "trials": trials, "workers": workers, **changes})
+        _check_decided({"policy": policy, "trials": trials, "workers": how.workers, **changes})
         folder = load_suite(suite).name
         info, rows = _finished_results(Path(run), folder)
         own = info.policy.name
@@ -111,9 +105,7 @@ def save_baseline(
         starts = trials or (earlier.manifest.starts if earlier else STARTS)
         if earlier is not None and not renew and place.is_in(earlier, starts):
             return SavedBaseline(file=file, action="unchanged", bank=earlier)
-        info, rows = _new_results(
-            place.with_starts(starts), workers=workers, cache=cache, listener=listener
-        )
+        info, rows = _new_results(place.with_starts(starts), how)
     assert info is not None, "results are of a run, new or finished"
     _check_seen(rows, info)
     found = bank_of_run(
@@ -211,9 +203,7 @@ def _written(
     return SavedBaseline(file=file, action="renewed", bank=found, change=change)
 
 
-def _new_results(
-    place: Here, *, workers: int | None, cache: bool, listener: Listener | None
-) -> tuple[RunInfo, tuple[Row, ...]]:
+def _new_results(place: Here, how: How) -> tuple[RunInfo, tuple[Row, ...]]:
     """Run what has no result yet, and say first how much that is, and after Ctrl-C how to go on.
 
     Raises:
@@ -222,35 +212,30 @@ def _new_results(
         TrialError: one is not what the cache of trials says.
     """
     from nw_eval.engine import session
-    from nw_eval.engine.listener import NullListener
     from nw_gate.results.ended import read_trials
     from nw_gate.results.journal import has_begun
     from nw_gate.results.provenance import read_run_info
     from nw_gate.results.run_folder import RunFolder
 
-    listener = listener or NullListener()
-    listener.message(_ahead(place, workers=workers))
+    how.told.message(_ahead(place, workers=how.workers))
     work = RunFolder(path=place.work)
     is_begun = has_begun(work.journal)
     try:
         folder = session.carry_out(
             place.plan,
-            workers=workers,
+            how,
             out=None if is_begun else work.path,
             resume=work.path if is_begun else None,
-            command=tuple(sys.argv),
-            listener=listener,
-            cache=cache,
         )
     except KeyboardInterrupt:  # Before the trials, or while they were stopped.
-        listener.message(_onwards(place))
+        how.told.message(_onwards(place))
         raise
     run = read_run_info(folder.run_json)
     if run.cache is not None and run.cache.differing:
         raise TrialError(run.cache.differing[0], fix=f"remove {work.path}, and save again")
     rows = read_trials(folder, run, place.plan.trials).rows
     if run.interrupted and len(rows) < len(place.plan.trials):
-        listener.message(_onwards(place))
+        how.told.message(_onwards(place))
         raise KeyboardInterrupt
     return run, rows
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 from nw_base.errors import IncomparableError, PolicyError, TrialError
 from nw_base.plural import plural
 from nw_eval.api.renamed import keywords_were
+from nw_eval.engine.how import How
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from nw_eval.api.baselines import Here
-    from nw_eval.engine.listener import Listener
     from nw_gate.results.bank import BaselineResults
     from nw_gate.results.row import Row
 
@@ -61,8 +60,6 @@ def verify_baseline(
     seed: int | None = None,
     suite: str | Path | None = None,
     policy: str | None = None,
-    workers: int | None = None,
-    listener: Listener | None = None,
     **changes: Any,
 ) -> VerifiedBaseline:
     """Run starts of a baseline again by its own policy, and compare each with its row.
@@ -75,9 +72,8 @@ def verify_baseline(
         seed: draws them, an int; one that cannot be predicted if None.
         suite: the suite's file; the suite of the baseline's own by name if None.
         policy: where its policy lies; where the baseline says if None.
-        workers: processes; one for each core if None.
-        listener: hears of progress.
-        changes: of `Request`: checkpoint, render, time_limit, memory_limit, allow_code.
+        changes: of `Request`: checkpoint, render, time_limit, memory_limit, allow_code; of `How`:
+            workers, listener.
 
     Raises:
         UsageError: there is no such baseline or suite, or `trials` is of no use.
@@ -86,11 +82,10 @@ def verify_baseline(
         IncomparableError: it does not hold here, or its policy is another one.
     """
     from nw_eval.api.baselines import here, show_baseline
-    from nw_eval.engine.machine import check_workers
     from nw_eval.engine.order import check_sample, draw, unforeseen_seed
     from nw_eval.suite import load_suite
 
-    check_workers(workers)
+    how = How.taken_from(changes, "workers", "listener")
     sample = SHARE if trials is None else str(trials)
     check_sample(sample)
     shown = show_baseline(baseline, suite=None if suite is None else load_suite(suite).name)
@@ -104,7 +99,7 @@ def verify_baseline(
     _check(bank, place)
     seed = unforeseen_seed() if seed is None else seed
     names = draw([trial.id for trial in place.plan.trials], sample, seed)
-    rows, interrupted = _run(place, names, workers, listener)
+    rows, interrupted = _run(place, names, how)
     done = [row for row in rows if row.status == "ok"]
     return VerifiedBaseline(
         file=shown.file,
@@ -143,9 +138,7 @@ def _check(bank: BaselineResults, place: Here) -> None:
         )
 
 
-def _run(
-    place: Here, names: Sequence[str], workers: int | None, listener: Listener | None
-) -> tuple[tuple[Row, ...], bool]:
+def _run(place: Here, names: Sequence[str], how: How) -> tuple[tuple[Row, ...], bool]:
     """Run some trials of a baseline in a folder of their own; return rows, and if it was cut."""
     from nw_eval.engine import session
     from nw_gate.results.journal import read_journal
@@ -155,17 +148,12 @@ def _run(
     trials = tuple(trial for trial in place.plan.trials if trial.id in chosen)
     scenes = {trial.scene for trial in trials}
     found = tuple(each for each in place.plan.found if each.scene.name in scenes)
-    if listener is not None:
-        listener.message(f"{plural(len(trials), 'trial')} of {len(place.plan.trials)} run again")
+    how.told.message(f"{plural(len(trials), 'trial')} of {len(place.plan.trials)} run again")
     with TemporaryDirectory(prefix="nw-eval-baseline-") as temporary:
         folder = session.carry_out(
             replace(place.plan, trials=trials, found=found, arm="baseline"),
-            workers=workers,
+            replace(how, cache=False),  # It may hold the very results that are to be verified.
             out=Path(temporary) / "run",
-            resume=None,
-            cache=False,  # It may hold the very results that are to be verified.
-            command=tuple(sys.argv),
-            listener=listener,
         )
         latest = {row.trial_id: row for row in read_journal(folder.journal).rows}
         return tuple(latest.values()), read_run_info(folder.run_json).interrupted

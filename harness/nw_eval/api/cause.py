@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nw_base.errors import PolicyError, StoreError, UsageError
+from nw_eval.engine.how import How
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
     from nw_eval.suite import Suite
     from nw_gate.cause import Apart, Arm, Cause
@@ -53,11 +53,9 @@ def find_cause(
     policy: str | None = None,
     checkpoint: Path | None = None,
     trials: int | None = None,
-    workers: int | None = None,
     allow_code: bool = False,
-    cache: bool = True,
     out: Path | None = None,
-    listener: Listener | None = None,
+    **how: Any,
 ) -> FoundCause:
     """Run old and new control with old and new perception in the trials of a run, and compare.
 
@@ -68,11 +66,9 @@ def find_cause(
         checkpoint: weights in place of those that its card names.
         trials: in each scene; the run's own number if None. More than it has are those that would
             come next.
-        workers: processes; one for each core if None.
         allow_code: whether Python code that cards name may be imported.
-        cache: whether results of earlier runs are reused.
         out: a new folder; `cause` or `cause-<n>` in the run's folder if None.
-        listener: hears of progress.
+        how: fields of `How` by name: workers, cache, listener.
 
     Raises:
         UsageError, StoreError, IncomparableError: as `attribute`; no trial was ended by all four.
@@ -82,7 +78,6 @@ def find_cause(
     from nw_eval.api.cause import apart, write_crossed
     from nw_eval.api.continuing import continued
     from nw_eval.api.saved_run import check_whole
-    from nw_eval.engine.machine import check_workers
     from nw_eval.reporting.markdown import write_cause
     from nw_gate.cause import ARMS, write_cause_file
     from nw_gate.results.provenance import read_run_info
@@ -90,7 +85,7 @@ def find_cause(
     from nw_gate.results.run_folder import open_run_folder
     from nw_sim.rollout.confined.start import prepare
 
-    check_workers(workers)
+    means = How.of(how, "workers", "cache", "listener")
     if trials is not None and trials < 1:
         raise UsageError(f"--trials {trials} is too low", fix="give at least 1")
     source = open_run_folder(run)
@@ -113,10 +108,7 @@ def find_cause(
                 name = _name(arm)
                 card = str(write_crossed(folder / name / "policy", control, sight, name=name))
             plans[arm] = _planned(base, info, suite, card, control)
-    found = {
-        arm: _rolled(planned, folder / _name(arm), workers, cache, listener)
-        for arm, planned in plans.items()
-    }
+    found = {arm: _rolled(planned, folder / _name(arm), means) for arm, planned in plans.items()}
     rows = {arm: found[_same(arm, different)] for arm in ARMS}
     cause = _caused(rows, different, old=old.name, new=new.name)
     write_cause(cause, source.id, folder / "cause.md")
@@ -205,19 +197,11 @@ def _planned(base: Plan, info: RunInfo, suite: Suite, card: str, bundle: Bundle)
     return replace(planned, trials=whole_plan(info, suite), drawn=drawn)
 
 
-def _rolled(
-    planned: Plan, out: Path, workers: int | None, cache: bool, listener: Listener | None
-) -> Sequence[Row]:
+def _rolled(planned: Plan, out: Path, how: How) -> Sequence[Row]:
     from nw_eval.api.reports import judge
     from nw_eval.api.runs import roll_out
 
-    done = roll_out(
-        planned,
-        workers=workers,
-        out=out / "run",
-        listener=listener,
-        cache=cache,
-    )
+    done = roll_out(planned, how, out=out / "run")
     report = judge(done.path, baseline="none")
     if report.interrupted:
         raise UsageError(

@@ -12,10 +12,10 @@ hearing of each other, and what the run would have found. Its control runs from 
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Self
 
 from nw_base.errors import IncomparableError, PolicyError, TrialError
 from nw_base.files.inside import what_is
@@ -25,21 +25,22 @@ from nw_eval.api.banks import control_rows
 from nw_eval.api.plans import rechecks
 from nw_eval.engine.machine import worker_count
 from nw_eval.engine.rounds import RunStanding
+from nw_eval.engine.session import Session, stop_of
 from nw_gate.absolute import word_of_bar
 from nw_gate.baseline.judge import setup_of
 from nw_gate.baseline.match import contradictions, is_baseline, recheck, renewing
 from nw_gate.results.bank import ControlArm, machine_of, trajectory
-from nw_gate.results.provenance import StopInfo, read_run_info
+from nw_gate.results.provenance import StopInfo
 
 if TYPE_CHECKING:
-    from nw_eval.engine.listener import Listener
+    from nw_eval.engine.how import How
+    from nw_eval.engine.machine import Interrupts
     from nw_eval.engine.plan import Plan
     from nw_gate.baseline.finding import Finding
     from nw_gate.baseline.judge import ComparisonSetup
     from nw_gate.results.bank import Against, Stratum
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
-    from nw_gate.results.run_folder import RunFolder
     from nw_gate.verdict import Word
     from nw_policies import Bundle
 
@@ -47,68 +48,72 @@ if TYPE_CHECKING:
 class Contest:
     """A candidate's run against a baseline, as `engine.session` asks about it.
 
+    A context manager, which closes the control's run.
+
     Args:
         plan: the candidate's.
         against: the baseline.
-        workers: processes; one for each core if None.
-        cluster: the address of the Ray cluster that trials run on; None = this machine.
-        command: what was typed.
-        listener: hears of progress.
-        cache: whether results of earlier runs are reused.
-        all_rounds: whether all trials run, settled or not.
+        how: how both run.
     """
 
-    def __init__(
-        self,
-        plan: Plan,
-        against: Against,
-        *,
-        workers: int | None,
-        cluster: str | None,
-        command: tuple[str, ...],
-        listener: Listener,
-        cache: bool,
-        all_rounds: bool,
-    ) -> None:
+    def __init__(self, plan: Plan, against: Against, how: How) -> None:
         self._plan = plan
         self._against = against
-        self._workers = workers
-        self._cluster = cluster
-        self._command = command
-        self._listener = listener
-        self._cache = cache
-        self._all_rounds = all_rounds
+        self._how = how
+        self._cleanup = ExitStack()
         self._beside: Beside | None = None
         self._setup: ComparisonSetup | None = None
         self._bar: tuple[int, Word] | None = None
         self._looked = 0
 
-    def begin(self, folder: RunFolder, run: RunInfo) -> RunInfo:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: Any) -> None:  # noqa: PYI036 - an exit stack wants their types.
+        self._cleanup.__exit__(*error)
+
+    def begin(self, own: Session, interrupts: Interrupts) -> RunInfo:
         """Return what run.json is to say once it is known what the baseline is to this machine.
 
         On a class of machine that the baseline has no results of, some trials of its own policy run
         first: they show whether bits are the baseline's.
 
         Args:
-            folder: of the run.
-            run: its run.json.
+            own: the candidate's run, of which no trial has run in this session.
+            interrupts: hears signals while trials run.
 
         Raises:
             IncomparableError: the baseline's policy is not here.
             TrialError: a trial of the baseline's policy came to no result.
         """
-        name, own = self._against.info.name, self._plan.bundle.name
+        run, name, policy = own.info, self._against.info.name, self._plan.bundle.name
         if self._plan.is_baseline:
             count = plural(rechecks(self._plan.request), "start")
-            self._listener.message(
-                f"{own} is the policy of baseline {name}: {count} of each scene run again, and if "
-                "they match, the other results are taken from the baseline"
+            self._how.told.message(
+                f"{policy} is the policy of baseline {name}: {count} of each scene run again, and "
+                "if they match, the other results are taken from the baseline"
             )
         elif not self._is_seen(run):
-            run = self._looked_at(folder, run)
+            run = self._looked_at(own, interrupts)
         if not run.interrupted and (run.stop is None or run.stop.trials):
             self._setup = setup_of(run, self._against, self._plan.suite.gate)
         return run
+
+    def run_beside(self, places: Sequence[int]) -> None:
+        """Run more trials of the control, from starts that the candidate meets next.
+
+        Args:
+            places: of the drawn order.
+
+        Raises:
+            TrialError: one came to no result.
+        """
+        assert self._beside is not None, "it has begun"
+        assert self._setup is not None, "it has begun"
+        self._beside.run(places)
+        if not self._beside.is_interrupted:
+            self._against = replace(self._against, control=self._beside.control)
+            self._setup = replace(self._setup, against=self._against)
 
     def end(self, run: RunInfo) -> None:
         """Keep of a control the trials that are judged, and no more; of a part's, all.
@@ -124,21 +129,14 @@ class Contest:
             stop = run.stop
             beside.run([x for x in every if stop is None or stop.wants(x)], exactly=True)
 
-    def _looked_at(self, folder: RunFolder, run: RunInfo) -> RunInfo:
+    def _looked_at(self, own: Session, interrupts: Interrupts) -> RunInfo:
         """Return run.json with what trials of the baseline show of this class of machine."""
-        name = self._against.info.name
-        self._listener.message(
+        name, run = self._against.info.name, own.info
+        self._how.told.message(
             f"baseline {name} has not seen this class of machine: its own policy runs first"
         )
-        self._beside = beside = Beside(
-            self._plan,
-            self._against,
-            folder,
-            run,
-            workers=self._workers,
-            cluster=self._cluster,
-            command=self._command,
-            cache=self._cache,
+        self._beside = beside = self._cleanup.enter_context(
+            Beside(self._plan, self._against, own, interrupts, self._how)
         )
         beside.run(beside.order[:CHUNK])
         if beside.is_interrupted:
@@ -149,7 +147,7 @@ class Contest:
             known = self._against.info.model_copy(update={"moved": alike})
             return run.model_copy(update={"baseline": known, "stop": StopInfo(first=0)})
         if not alike:
-            self._listener.message(
+            self._how.told.message(
                 f"bits are others here than in baseline {name}: its policy runs beside "
                 f"{self._plan.bundle.name} from the same starts, and is compared with it"
             )
@@ -173,21 +171,12 @@ class Contest:
         Args:
             ended: rows of trials that have ended, by index in the order.
         """
-        while True:
-            now = self._standing(ended)
-            beside = self._beside
-            if now.ahead and beside is not None and self._is_controlled:
-                lacking = [x for x in now.ahead if x not in beside.places]
-                if lacking and lacking[0] in now.ahead[: worker_count(self._workers, CHUNK)]:
-                    beside.run(lacking[:CHUNK])
-                    if beside.is_interrupted:
-                        # The run that it is beside is under way, and is to hear of it too.
-                        signal.raise_signal(signal.SIGINT)
-                    elif self._setup is not None:
-                        self._against = replace(self._against, control=beside.control)
-                        self._setup = replace(self._setup, against=self._against)
-                        continue
-            return replace(now, ahead=tuple(x for x in now.ahead if x not in ended))
+        now, beside = self._standing(ended), self._beside
+        if now.ahead and beside is not None and self._is_controlled:
+            lacking = tuple(x for x in now.ahead if x not in beside.places)
+            if lacking and lacking[0] in now.ahead[: worker_count(self._how.workers, CHUNK)]:
+                return replace(now, lacks=lacking[:CHUNK])
+        return replace(now, ahead=tuple(x for x in now.ahead if x not in ended))
 
     @property
     def _is_controlled(self) -> bool:
@@ -197,7 +186,7 @@ class Contest:
         setup = self._setup
         assert setup is not None, "a run begins before its first trial ends"
         every, count = range(len(self._plan.trials)), _first_missing(ended)
-        if self._all_rounds:
+        if self._how.all_rounds:
             met = setup.met(list(ended.values()))
             is_met = met.ended(every)
             return RunStanding(first=len(every), ahead=tuple(x for x in every if not is_met[x]))
@@ -295,45 +284,51 @@ CHUNK = 16
 
 
 class Beside:
-    """The baseline's policy beside a candidate.
+    """The baseline's policy beside a candidate: a run of its own; a context manager.
 
     Args:
         plan: the candidate's.
         against: the baseline.
-        folder: of the candidate's run.
-        run: its run.json.
-        workers: processes; one for each core if None.
-        cluster: the address of the Ray cluster that trials run on; None = this machine.
-        command: what was typed.
-        cache: whether results of earlier runs are reused.
+        own: the candidate's run.
+        interrupts: hears signals while trials run.
+        how: how the candidate runs.
 
     Raises:
         IncomparableError: the baseline's policy is not here.
     """
 
     def __init__(
-        self,
-        plan: Plan,
-        against: Against,
-        folder: RunFolder,
-        run: RunInfo,
-        *,
-        workers: int | None,
-        cluster: str | None,
-        command: tuple[str, ...],
-        cache: bool,
+        self, plan: Plan, against: Against, own: Session, interrupts: Interrupts, how: How
     ) -> None:
         from nw_eval.api.plans import baseline_plan
 
-        self.is_interrupted = False
-        self._folder, self._nested = folder, folder.baseline
-        self._against = against
-        self._workers, self._cluster = workers, cluster
-        self._command, self._cache = command, cache
-        self._plan = baseline_plan(plan, _bundle(plan, against, run))
+        self._folder, self._against, self._interrupts = own.folder, against, interrupts
+        self._plan = baseline_plan(plan, _bundle(plan, against, own.info))
+        nested = own.folder.baseline
+        is_begun = what_is(nested.run_json) == "file"
+        self._session = Session(
+            self._plan,
+            # A policy by its card is behind the fence, also where the candidate is not.
+            replace(how, listener=None, in_process=False, labels=None),
+            interrupts,
+            out=None if is_begun else nested.path,
+            resume=nested.path if is_begun else None,
+        )
         self.places = set[int]()
         """Of what has run."""
         self._control: ControlArm | None = None
+
+    def __enter__(self) -> Self:
+        self._session.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:  # noqa: PYI036 - an exit stack wants their types.
+        self._session.__exit__(*error)
+
+    @property
+    def is_interrupted(self) -> bool:
+        """Whether a signal came."""
+        return self._interrupts.requested is not None
 
     @property
     def order(self) -> list[int]:
@@ -356,31 +351,20 @@ class Beside:
             TrialError: a trial of the baseline's policy came to no result, or not to what the cache
                 says.
         """
-        from nw_eval.engine import session
-
         self.places = set(places) if exactly else self.places | set(places)
-        is_begun = what_is(self._nested.run_json) == "file"
-        session.carry_out(
-            self._plan,
-            workers=self._workers,
-            cluster=self._cluster,
-            out=None if is_begun else self._nested.path,
-            resume=self._nested.path if is_begun else None,
-            command=self._command,
-            listener=None,
-            enough=self._next,
-            cache=self._cache,
-        )
-        own = read_run_info(self._nested.run_json)
+        self._session.run_these(self.places)
+        standing = RunStanding(first=0, followed=tuple(sorted(self.places)))
+        is_whole = len(self.places) == len(self._plan.trials) or self.is_interrupted
+        self._session.save(None if is_whole else stop_of(self._plan, standing))
+        own = self._session.info
         if own.cache is not None and own.cache.differing:
             raise TrialError(
                 f"the baseline's policy {own.policy.name}: {own.cache.differing[0]}",
                 fix="start a new run",
             )
-        if own.interrupted:
-            self.is_interrupted = True
-            return
-        self._control = ControlArm(run=own, rows=control_rows(self._nested, own, self._folder))
+        if not self.is_interrupted:
+            nested = self._session.folder
+            self._control = ControlArm(run=own, rows=control_rows(nested, own, self._folder))
 
     def looks_like_the_bank(self) -> bool | tuple[str, ...]:
         """Return whether the trials so far have the baseline's bits; sentences where they do not.
@@ -396,12 +380,6 @@ class Beside:
             trajectory(row)
             == panel.by_stratum[row.scene, row.perturbation][row.seed_index].trajectory
             for row in rows
-        )
-
-    def _next(self, ended: Mapping[int, Row]) -> RunStanding:
-        places = tuple(sorted(self.places))
-        return RunStanding(
-            first=0, followed=places, ahead=tuple(place for place in places if place not in ended)
         )
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from nw_base.clean import clean
 from nw_base.errors import NwEvalError, Problem, SuiteError, UsageError, nearest
 from nw_eval.api.banks import check_rounds, wanted_bank
+from nw_eval.engine.how import How
 from nw_gate.results.request import Request
 
 if TYPE_CHECKING:
@@ -377,7 +378,7 @@ def _matched(plan: Plan, against: Against) -> Plan:
     from nw_gate.results.run_folder import RunFolder
 
     folder = RunFolder(path=Path(plan.suite.name))
-    run = run_info(plan, folder, workers=None, in_process=False, command=())
+    run = run_info(plan, folder, How())
     # Whether this class of machine has the baseline's bits is found out by running something.
     known = against.info.model_copy(update={"checked": "bits"})
     setup = setup_of(run.model_copy(update={"baseline": known}), against, plan.suite.gate)
@@ -400,7 +401,7 @@ def check(
     Raises:
         UsageError, SuiteError, PolicyError: as `plan`.
     """
-    from nw_eval.engine.machine import check_workers
+    from nw_eval.engine.how import check_workers
     from nw_eval.engine.plan import forecast
 
     check_workers(workers)

@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, get_args
+from typing import TYPE_CHECKING, Any, Protocol
 
-from nw_base.errors import UsageError, nearest
+from nw_base.errors import UsageError
 from nw_base.files.traceback_file import TracebackIn
 from nw_base.plural import plural
-from nw_base.words import Engine
 from nw_eval.api.plans import plan
 from nw_eval.api.reports import RunReport, prepare_pages, report_here
+from nw_eval.engine.how import How, check_limits
 from nw_gate.results.request import Request
 from nw_sim.rollout.confined.start import prepare
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
     from nw_gate.results.provenance import ShardInfo
     from nw_gate.results.run_folder import RunFolder
@@ -34,16 +33,8 @@ if TYPE_CHECKING:
 def run(
     request: Request | str | Path | None = None,
     *,
-    workers: int | None = None,
     out: Path | None = None,
     resume: Path | None = None,
-    in_process: bool = False,
-    cache: bool = True,
-    all_rounds: bool = False,
-    engine: Engine = "local",
-    address: str | None = None,
-    labels: Mapping[str, str] | None = None,
-    listener: Listener | None = None,
     **changes: Any,
 ) -> RunReport:
     """Roll a checkpoint out through a suite, write the evidence, and judge it.
@@ -53,22 +44,10 @@ def run(
     Args:
         request: what to run, or only its suite: a file or the name of a shipped one; None only
             with `resume`.
-        workers: processes; one for each core if None.
         out: the run's folder; a new one in `reports/` if None.
         resume: the folder of an interrupted run, whose finished trials are kept. What the request
             does not ask for is as the run was begun, but for leave to run code.
-        in_process: run trials in this very process, one after another, for a debugger or a
-            notebook: nothing confines the policy, and nothing ends it if it hangs.
-        cache: take over results that earlier runs have of the same trials, all but a few, which are
-            run again and compared; trials in this very process always run.
-        all_rounds: go on when the verdict against a baseline is settled, also where the policy is
-            the baseline itself and the others would be reused.
-        engine: where trials run; rows are the same, and a run that is resumed may use another.
-        address: of the Ray cluster; one of this machine is started if None.
-        labels: what you call the run, such as `{"training_run": "may-3", "step": "1500"}`, beside
-            what CI's variables say of the job (docs/reference/run-folder.md). No result has them.
-        listener: hears of progress.
-        changes: fields of `Request` by name.
+        changes: fields of `Request` and of `How` by name.
 
     Raises:
         UsageError, SuiteError, SceneError, PolicyError, PrerequisiteError: nothing was run.
@@ -76,45 +55,20 @@ def run(
         StoreError: results cannot be written; those that were written stay.
     """
     from nw_eval.api.continuing import continued
-    from nw_eval.engine.machine import check_workers
 
-    check_workers(workers)
+    how = How.taken_from(changes)
     if resume is not None and out is not None:
         raise UsageError("--out and --resume exclude each other", fix="drop --out")
     request = Request.of(request, **changes)
-    cluster = _cluster(engine, address)
-    if in_process:
-        _check_in_process(request, workers, cluster)
-    elif cluster is None and not request.allow_code:
+    how.check_in_process(request)
+    if not how.in_process and how.cluster is None and not request.allow_code:
         prepare()  # It takes as long as planning does.
-    return judged(
-        roll_out(
-            plan(request) if resume is None else continued(resume, request),
-            workers=workers,
-            out=out,
-            resume=resume,
-            in_process=in_process,
-            cache=cache,
-            all_rounds=all_rounds,
-            cluster=cluster,
-            labels=labels,
-            listener=listener,
-        )
-    )
+    planned = plan(request) if resume is None else continued(resume, request)
+    return judged(roll_out(planned, how, out=out, resume=resume))
 
 
 def roll_out(
-    plan: Plan,
-    *,
-    workers: int | None,
-    out: Path | None,
-    resume: Path | None = None,
-    in_process: bool = False,
-    listener: Listener | None,
-    cache: bool = True,
-    all_rounds: bool = False,
-    cluster: str | None = None,
-    labels: Mapping[str, str] | None = None,
+    plan: Plan, how: How, *, out: Path | None = None, resume: Path | None = None
 ) -> RunFolder:
     """Run what is planned: against a baseline, trial by trial, until bar and baseline are settled.
 
@@ -124,15 +78,9 @@ def roll_out(
 
     Args:
         plan: what is to be run.
-        workers: as for `run`, and so are the others.
-        out: the run's folder.
+        how: how it is run.
+        out: the run's folder; a new one in `reports/` if None.
         resume: the folder of an interrupted run.
-        in_process: whether trials run in this very process.
-        listener: hears of progress.
-        cache: whether results of earlier runs are reused.
-        all_rounds: whether to go on when bar and baseline are settled.
-        cluster: the address of a Ray cluster; None = this machine.
-        labels: of the run, beside those of CI's variables, before which they go.
 
     Raises:
         UsageError: a label is none.
@@ -141,58 +89,33 @@ def roll_out(
     from nw_eval.api.contest import Contest
     from nw_eval.api.plans import rechecked
     from nw_eval.engine import session
-    from nw_eval.engine.listener import NullListener
     from nw_eval.engine.order import unforeseen_seed
     from nw_gate.baseline.combine import unjudged
     from nw_gate.results.labels import ci_labels, usable
-    from nw_gate.results.provenance import read_run_info
 
-    named = usable({**ci_labels(os.environ), **(labels or {})})
-    told, command = listener or NullListener(), tuple(sys.argv)
-    # Scores are judged once, of all trials: only success alone may settle a run early.
-    all_rounds = all_rounds or bool(plan.suite.gate.scores)
+    how = replace(
+        how,
+        labels=usable({**ci_labels(os.environ), **(how.labels or {})}),
+        # Scores are judged once, of all trials: only success alone may settle a run early.
+        all_rounds=how.all_rounds or bool(plan.suite.gate.scores),
+    )
     if plan.is_baseline and plan.drawn is None:
         # The starts that run again are drawn now: no file says which they will be.
-        whole = all_rounds or plan.shard is not None
+        whole = how.all_rounds or plan.shard is not None
         plan = rechecked(plan, unforeseen_seed(), all_rounds=whole)
     contest = None
     for words in _ahead(plan):
-        told.message(words)
+        how.told.message(words)
     if plan.against is not None:
-        contest = Contest(
-            plan,
-            plan.against,
-            workers=workers,
-            cluster=cluster,
-            command=command,
-            listener=told,
-            cache=cache,
-            all_rounds=all_rounds,
-        )
+        contest = Contest(plan, plan.against, how)
     elif (plan.shard is None or plan.shard.count == 1) and plan.request.baseline != "none":
         name = plan.suite.name if plan.request.suite is None else str(plan.request.suite)
         policy = plan.bundle.name if plan.request.policy is None else plan.request.policy
         if why := unjudged(plan.suite.gate, name, policy):
-            told.message(why)
-    folder = session.carry_out(
-        plan,
-        workers=workers,
-        out=out,
-        resume=resume,
-        command=command,
-        labels=named,
-        listener=told,
-        in_process=in_process,
-        cluster=cluster,
-        prelude=None if contest is None else contest.begin,
-        # What is enough shows in the order of the whole run only, of which a part has none.
-        enough=None if contest is None or plan.shard else contest.next,
-        cache=cache,
-        meanwhile=prepare_pages,
+            how.told.message(why)
+    return session.carry_out(
+        plan, how, out=out, resume=resume, contest=contest, meanwhile=prepare_pages
     )
-    if contest is not None:
-        contest.end(read_run_info(folder.run_json))
-    return folder
 
 
 def _ahead(plan: Plan) -> Iterator[str]:
@@ -258,61 +181,6 @@ def _part(plan: Plan, shard: ShardInfo) -> str:
     return f"{shard}: {trials}; `nw-eval merge` judges the whole run"
 
 
-def _cluster(engine: Engine, address: str | None) -> str | None:
-    """Return the address of the cluster that trials run on; None = none.
-
-    Raises:
-        UsageError: an address of nothing, or no such engine.
-    """
-    if engine not in get_args(Engine):
-        raise UsageError(
-            f"--engine {engine!r} is unknown", fix=nearest(str(engine), get_args(Engine))
-        )
-    if engine == "ray":
-        return address or "local"
-    if address is not None:
-        raise UsageError(f"--address {address} is of no use here", fix="add --engine ray")
-    return None
-
-
-def _check_in_process(request: Request, workers: int | None, cluster: str | None) -> None:
-    """Refuse what one process cannot do.
-
-    Raises:
-        UsageError: more workers than one, or a limit that cannot be enforced.
-    """
-    if cluster is not None:
-        raise UsageError(
-            "--in-process with --engine ray: trials run here or there", fix="drop one of them"
-        )
-    if workers not in {None, 1}:
-        raise UsageError(
-            f"--workers {workers} with --in-process: it runs one trial after another",
-            fix="drop one of them",
-        )
-    _check_limits(request, "--in-process")
-
-
-def _check_limits(request: Request, door: str) -> None:
-    """Refuse limits to trials that run in this very process.
-
-    Args:
-        request: what is asked for.
-        door: why they do, in words.
-
-    Raises:
-        UsageError: there is a limit that cannot be enforced.
-    """
-    time, memory = request.time_limit, request.memory_limit
-    limits = [] if time is None else [f"--time-limit {time:g}"]
-    limits += [] if memory is None else [f"--memory-limit {memory}"]
-    if limits:
-        raise UsageError(
-            f"{' and '.join(limits)} cannot be enforced with {door}",
-            fix="drop one of them",
-        )
-
-
 def judged(folder: RunFolder, *, how: Callable[[Path], RunReport] | None = None) -> RunReport:
     """Judge a run that has just ended; arguments as of `report_here`.
 
@@ -354,8 +222,6 @@ def evaluate(
     card: Card | Mapping[str, Any] | None = None,
     version: str = UNNAMED,
     out: str | Path | None = None,
-    labels: Mapping[str, str] | None = None,
-    listener: Listener | None = None,
     **changes: Any,
 ) -> RunReport:
     """Roll a policy out through a suite, write the evidence, and judge it.
@@ -372,11 +238,9 @@ def evaluate(
             for one that looks. A mapping gets robot and name from the suite and the object.
         version: which policy an object is, such as its step or the hash of its weights.
         out: the run's folder; a new one in `reports/` if None.
-        labels: what you call the run, as for `run`.
-        listener: hears of progress.
-        changes: fields of `Request` by name, such as trials, scenes, record and seed; for a policy
-            by name whatever `run` takes. The suite's own baseline counts for the suite's own policy
-            by name; `baseline` names one for any other.
+        changes: fields of `Request` by name, such as trials, scenes, record and seed, `labels` and
+            `listener`; for a policy by name whatever `run` takes. The suite's own baseline counts
+            for the suite's own policy by name; `baseline` names one for any other.
 
     Raises:
         UsageError: an object has no card, or a policy by name has one; no such suite.
@@ -394,25 +258,17 @@ def evaluate(
                 f"policy {str(policy)!r} has a card and a digest of its own",
                 fix="leave `card` and `version` out, or pass the policy as an object",
             )
-        named = {"policy": str(policy), "labels": labels}
-        return run(suite, out=out, listener=listener, **named, **changes)
+        return run(suite, out=out, policy=str(policy), **changes)
     if card is None:
         raise UsageError(
             f"a policy that is an object ({type(policy).__name__}) needs a card",
             fix="pass `card={'control': ..., 'observations': ...}`",
         )
     bundle = _bundle(policy, suite, card, version)
+    how = replace(How.taken_from(changes, "labels", "listener"), in_process=True)
     request = Request.of(suite, policy=bundle.name, **changes)
-    _check_limits(request, "a policy that is an object")
-    folder = roll_out(
-        plan_of(request, draft_suite(suite), bundle=bundle),
-        workers=1,
-        out=out,
-        labels=labels,
-        listener=listener,
-        in_process=True,
-    )
-    return judged(folder)
+    check_limits(request, "a policy that is an object")
+    return judged(roll_out(plan_of(request, draft_suite(suite), bundle=bundle), how, out=out))
 
 
 def _bundle(

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nw_eval.api.renamed import keywords_were
+from nw_eval.engine.how import How
 
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
-    from nw_eval.engine.listener import Listener
     from nw_gate.bisection import Bisection, Decision
     from nw_gate.results.request import Request
     from nw_gate.settings import Gate
@@ -61,9 +61,6 @@ def bisect(
     everyone: bool = False,
     baseline_trials: int | None = None,
     out: Path | None = None,
-    workers: int | None = None,
-    cache: bool = True,
-    listener: Listener | None = None,
     progress: Callable[[str, str], None] | None = None,
     **changes: Any,
 ) -> BisectedSeries:
@@ -86,12 +83,9 @@ def bisect(
         baseline_trials: in each scene, of a baseline that is saved.
         out: the folder of the runs; a search that was interrupted goes on in it. If None, one in
             `reports/` that is named by the suite.
-        workers: processes; one for each core if None.
-        cache: as for `run`.
-        listener: hears of the progress of each run.
         progress: hears which checkpoint is judged, and its verdict.
         changes: of `Request`: scenes, trials (the most of each scene, on average), seed, render,
-            time_limit, memory_limit...
+            time_limit, memory_limit...; of `How`: workers, cache, listener.
 
     Raises:
         UsageError, SuiteError, PolicyError: a checkpoint or the suite cannot be used.
@@ -105,18 +99,18 @@ def bisect(
 
     series = tuple(str(one) for one in (*_of_folders(checkpoints, good, bad), bad))
     read = load_suite(suite)
+    how = How.taken_from(changes, "workers", "cache", "listener")
     request = Request.of(suite, policy=policy, record="none", **changes)
     for one in (*series, *(() if _is_bank(good, read.name) else (good,))):
         _check_place(one)
     folder = out or _REPORTS / f"bisect-{read.name}"
-    means = _Means(workers=workers, cache=cache, listener=listener)
-    bank = _bank_of(good, request, read.name, baseline_trials, means)
+    bank = _bank_of(good, request, read.name, baseline_trials, how)
     runs: dict[int, RunReport] = {}
 
     def word(place: int) -> Decision:
         name = f"{place + 1:02d}-{re.sub(r'[^A-Za-z0-9_.]+', '-', Path(series[place]).stem)}"
         asked_for = _of(request, series[place], bank)
-        runs[place] = _judged(asked_for, folder / name, means)
+        runs[place] = _judged(asked_for, folder / name, how)
         finding = _finding(runs[place])
         if progress is not None:
             progress(series[place], finding)
@@ -128,15 +122,6 @@ def bisect(
     return BisectedSeries(
         bank=bank, checkpoints=series, runs=dict(sorted(runs.items())), found=found, folder=folder
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Means:
-    """How the trials of a series run."""
-
-    workers: int | None
-    cache: bool
-    listener: Listener | None
 
 
 class _InterruptedSeriesError(Exception):
@@ -205,9 +190,7 @@ def _of(request: Request, checkpoint: str, bank: str | None = None) -> Request:
     return replace(request, policy=checkpoint, baseline=bank)
 
 
-def _bank_of(
-    good: str | Path, request: Request, suite: str, starts: int | None, means: _Means
-) -> str:
+def _bank_of(good: str | Path, request: Request, suite: str, starts: int | None, how: How) -> str:
     """Return the baseline of the good checkpoint, saved first if there is none.
 
     Raises:
@@ -230,9 +213,9 @@ def _bank_of(
         time_limit=request.time_limit,
         memory_limit=request.memory_limit,
         allow_code=request.allow_code,
-        workers=means.workers,
-        cache=means.cache,
-        listener=means.listener,
+        workers=how.workers,
+        cache=how.cache,
+        listener=how.listener,
     )
     if saved.action == "kept":
         raise IncomparableError(
@@ -242,7 +225,7 @@ def _bank_of(
     return str(saved.file)
 
 
-def _judged(request: Request, folder: Path, means: _Means) -> RunReport:
+def _judged(request: Request, folder: Path, how: How) -> RunReport:
     """Return the judged run of a checkpoint, begun or gone on with."""
     from nw_eval.api.continuing import continued
     from nw_eval.api.plans import plan_of
@@ -261,11 +244,9 @@ def _judged(request: Request, folder: Path, means: _Means) -> RunReport:
     return judged(
         roll_out(
             plan,
-            workers=means.workers,
+            how,
             out=None if begun else folder,
             resume=folder if begun else None,
-            cache=means.cache,
-            listener=means.listener,
         )
     )
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from nw_base.errors import StoreError, UsageError
 from nw_base.files.cache import made_place
@@ -14,11 +14,11 @@ from nw_eval.api.plans import plan
 from nw_eval.api.renamed import keywords_were
 from nw_eval.api.reports import judge
 from nw_eval.api.runs import roll_out
+from nw_eval.engine.how import How
 from nw_gate.results.request import Request
 from nw_sim.rollout.confined.start import prepare
 
 if TYPE_CHECKING:
-    from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
     from nw_gate.sweep import AxisCurve
     from nw_sim.axes import SweptAxis
@@ -51,10 +51,8 @@ def sweep(
     *,
     out: Path | None = None,
     baseline: str | None = None,
-    workers: int | None = None,
-    cache: bool = True,
     confidence: float = 0.95,
-    listener: Listener | None = None,
+    **how: Any,
 ) -> SweptSuite:
     """Run a suite at values of one axis after another, and find where its policy breaks off.
 
@@ -66,22 +64,19 @@ def sweep(
         axes: such as `friction=0.3..1.2` (7 values), `payload=0..6:4`, `push=0,0.5,1`.
         out: a new or empty folder; `reports/<suite>-sweep-<number>` if None.
         baseline: another policy, which meets the same trials.
-        workers: processes; one for each core if None.
-        cache: as for `run`.
         confidence: of each interval alone, and of all comparisons along a curve together.
-        listener: hears of progress.
+        how: fields of `How` by name: workers, cache, listener.
 
     Raises:
         UsageError, SuiteError, SceneError, PolicyError, PrerequisiteError: nothing was run.
         StoreError: results cannot be written.
     """
     from nw_eval.api.comparisons import check_share
-    from nw_eval.engine.machine import check_workers
     from nw_eval.reporting.sweep import write_sweep
     from nw_gate.sweep import curve_of
     from nw_sim.axes import axis_named
 
-    check_workers(workers)
+    means = How.of(how, "workers", "cache", "listener")
     check_share(confidence)
     swept = _axes(axes)
     if not request.allow_code:
@@ -99,13 +94,7 @@ def sweep(
     found: dict[str, list[AxisCurve]] = {}
     interrupted = False
     for name, number, planned in plans:
-        done = roll_out(
-            planned,
-            workers=workers,
-            out=folder / name / f"{number}",
-            listener=listener,
-            cache=cache,
-        )
+        done = roll_out(planned, means, out=folder / name / f"{number}")
         run = judge(done.path, baseline="none")
         if run.rows:
             curve = curve_of(

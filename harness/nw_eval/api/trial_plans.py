@@ -105,7 +105,7 @@ def plan_trials(
     """
     from nw_eval.api.banks import NO_BASELINE
     from nw_eval.api.plans import plan
-    from nw_eval.engine.machine import check_workers
+    from nw_eval.engine.how import check_workers
 
     check_workers(workers)
     if baseline is not None and run is not None:
@@ -321,7 +321,7 @@ def plan_shards(
         SuiteError, PolicyError: as `plan`.
     """
     from nw_eval.api.plans import plan
-    from nw_eval.engine.machine import check_workers
+    from nw_eval.engine.how import check_workers
     from nw_eval.engine.order import shards_of
     from nw_eval.engine.plan import forecast
     from nw_gate.results.request import Request

@@ -8,13 +8,13 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from nw_base.errors import StoreError, UsageError
 from nw_eval.api.renamed import keywords_were
+from nw_eval.engine.how import How
 
 if TYPE_CHECKING:
-    from nw_eval.engine.listener import Listener
     from nw_gate.results.evidence_check import CheckedFiles
     from nw_sim.rollout.replaying.reports import Repeats
 
@@ -67,8 +67,7 @@ def verify(
     policy: str | None = None,
     checkpoint: Path | None = None,
     allow_code: bool = False,
-    workers: int | None = None,
-    listener: Listener | None = None,
+    **how: Any,
 ) -> VerifiedRun:
     """Say whether rows and logs of a run are as they were, and whether trials give them again.
 
@@ -84,22 +83,20 @@ def verify(
         policy: the bundle that made it, where it has moved since, or is served elsewhere.
         checkpoint: weights that were used instead of the card's, where they have moved since.
         allow_code: whether Python code that the policy's card names may be imported.
-        workers: processes; one for each core if None.
-        listener: hears of progress.
+        how: fields of `How` by name: workers, listener.
 
     Raises:
         UsageError: it is no run's folder, or an argument is of no use.
         StoreError: its run.json is damaged, or contradicts itself.
     """
     from nw_eval.api.saved_run import saved_suite, saved_trials
-    from nw_eval.engine.machine import check_workers
     from nw_eval.engine.order import check_sample, unforeseen_seed
     from nw_gate.results.evidence_check import check_files
     from nw_gate.results.provenance import read_run_info
     from nw_gate.results.request import Request
     from nw_gate.results.run_folder import RunFolder, open_run_folder
 
-    check_workers(workers)
+    means = How.of(how, "workers", "listener")
     sample = str(trials)
     check_sample(sample)
     if root is not None and not _ROOT.fullmatch(root):
@@ -121,8 +118,7 @@ def verify(
             Request.of(None, policy=policy, checkpoint=checkpoint, allow_code=allow_code),
             sample=sample,
             seed=unforeseen_seed() if seed is None else seed,
-            workers=workers,
-            listener=listener,
+            how=means,
         )
     return VerifiedRun(folder=folder.path, files=files, repeats=repeats)
 

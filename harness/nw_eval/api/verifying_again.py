@@ -6,7 +6,6 @@ control step on.
 
 from __future__ import annotations
 
-import sys
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -34,7 +33,7 @@ from nw_sim.rollout.replaying.logged import recorded_rate
 from nw_sim.rollout.replaying.reports import Difference, Kind, RepeatedTrial, Repeats
 
 if TYPE_CHECKING:
-    from nw_eval.engine.listener import Listener
+    from nw_eval.engine.how import How
     from nw_eval.engine.plan import Plan
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.request import Request
@@ -50,8 +49,7 @@ def run_again(
     *,
     sample: str,
     seed: int,
-    workers: int | None,
-    listener: Listener | None,
+    how: How,
 ) -> Repeats:
     """Run trials of a run again, and compare what they come to with their rows and logs.
 
@@ -62,8 +60,7 @@ def run_again(
         request: where the policy lies, if not where it did, and whether code is allowed.
         sample: how many trials, as `verifying.check_sample` has it.
         seed: draws them.
-        workers: processes; one for each core if None.
-        listener: hears of progress.
+        how: how they are run.
     """
     ended = [name for name, row in rows.items() if row.status == "ok"]
     if not ended:
@@ -72,9 +69,7 @@ def run_again(
         plan = _plan(folder, info, request)
         chosen = _part(plan, draw(ended, sample, seed), rows)
         with TemporaryDirectory(prefix="nw-eval-verify-") as temporary:
-            return _repeats_of(
-                chosen, Path(temporary), folder, rows, seed, len(ended), workers, listener
-            )
+            return _repeats_of(chosen, Path(temporary), folder, rows, seed, len(ended), how)
     except NwEvalError as error:
         return Repeats(seed=seed, of=len(ended), unable=error)
 
@@ -135,20 +130,15 @@ def _repeats_of(
     rows: Mapping[str, Row],
     seed: int,
     of: int,
-    workers: int | None,
-    listener: Listener | None,
+    how: How,
 ) -> Repeats:
     """Run a plan and compare each of its rows."""
     from nw_eval.engine import session
 
     now = session.carry_out(
         plan,
-        workers=workers,
+        replace(how, cache=False),  # It may have taken in the very results that are to be verified.
         out=temporary / "run",
-        resume=None,
-        cache=False,  # It may have taken in the very results that are to be verified.
-        command=tuple(sys.argv),
-        listener=listener,
     )
     again = {row.trial_id: row for row in read_journal(now.journal).rows}
     return Repeats(

@@ -20,11 +20,11 @@ from nw_base.errors import IncomparableError, PolicyError, StoreError, UsageErro
 from nw_base.files.cache import made_place
 from nw_base.files.inside import regular
 from nw_eval.api.renamed import keywords_were
+from nw_eval.engine.how import How
 
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
     from nw_eval.api.surfaces import Surfaces
-    from nw_eval.engine.listener import Listener
     from nw_gate.results.request import Request
 
 SUFFIXES = (".jit", ".msgpack", ".onnx", ".pt", ".pt2", ".pth", ".safetensors", ".zip")
@@ -128,10 +128,7 @@ def watch(
     idle: float | None = None,
     interval: float = 5.0,
     out: Path | None = None,
-    workers: int | None = None,
-    cache: bool = True,
     where: Surfaces | None = None,
-    listener: Listener | None = None,
     progress: Callable[[WatchedCheckpoint], None] | None = None,
     **changes: Any,
 ) -> WatchedTraining:
@@ -155,13 +152,10 @@ def watch(
         interval: seconds between two looks. A file is taken when two looks find it unchanged.
         out: where runs, table and page go, and where a watch that ended goes on;
             `reports/watch-<suite>-<folder>` if None.
-        workers: processes; one for each core if None.
-        cache: as for `run`.
         where: trackers that show each run at its training step.
-        listener: hears of the progress of each run.
         progress: hears of each checkpoint that was evaluated.
-        changes: of `Request`: trials, scenes, record, render, time_limit, memory_limit,
-            allow_code.
+        changes: of `Request`: trials, scenes, record, render, time_limit, memory_limit, allow_code;
+            of `How`: workers, cache, listener.
 
     Raises:
         UsageError, SuiteError, PolicyError: the folder, the suite or the card cannot be used. A
@@ -180,11 +174,11 @@ def watch(
             f"every {every}, interval {interval:g}, idle {idle}: one is too low",
             fix="give an `every` of 1 or more, and seconds above 0",
         )
+    how = How.taken_from(changes, "workers", "cache", "listener")
     request = Request.of(suite, policy=policy, **changes)
-    watched = _Watch(folder, request, out, where or Surfaces(), workers, cache, listener)
+    watched = _Watch(folder, request, out, where or Surfaces(), how)
     for reason in watched.obstacles:
-        if listener is not None:
-            listener.message(f"a checkpoint after the first cannot PASS: {reason}")
+        how.told.message(f"a checkpoint after the first cannot PASS: {reason}")
     seen: dict[Path, tuple[int, int]] = {}
     last, interrupted = time.monotonic(), False
     while not interrupted:
@@ -278,9 +272,7 @@ class _Watch:
     request: Request
     out: Path | None
     where: Surfaces
-    workers: int | None
-    cache: bool
-    listener: Listener | None
+    how: How
     folder: Path = field(init=False)
     obstacles: tuple[str, ...] = field(init=False)
     """Why no checkpoint can PASS beside one that never fails."""
@@ -406,12 +398,9 @@ class _Watch:
             prepare()
         ran = roll_out(
             continued(folder, own) if begun else plan(own),
-            workers=self.workers,
+            replace(self.how, labels=labels),
             out=None if begun else folder,
             resume=folder if begun else None,
-            cache=self.cache,
-            labels=labels,
-            listener=self.listener,
         )
         bank = self._bank()
 
@@ -474,8 +463,7 @@ class _Watch:
 
         judged = replace(judged, training=TrainingStep(step=step, folder=self.folder))
         for warning in publish(judged, self.where).warnings:
-            if self.listener is not None:
-                self.listener.message(f"warning: {warning}")
+            self.how.told.message(f"warning: {warning}")
 
     def _ordered(self) -> Iterator[WatchedCheckpoint]:
         yield from sorted(self._state.checkpoints, key=lambda each: each.step)

@@ -29,7 +29,6 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, Self
 
 from nw_base.clean import clean
-from nw_base.errors import UsageError
 from nw_base.files.cache import open_own
 from nw_gate.results.provenance import usable_cores
 from nw_sim.rollout.confined.progress import descendants, stat_of, text_of
@@ -74,16 +73,6 @@ _OUTPUT_CHUNK = 2**16
 _PATIENCE = 5.0  # s for the last words of workers that are gone
 _MORE_OUTPUT = "(the run printed more, which was not kept)"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
-
-def check_workers(workers: int | None) -> None:
-    """Refuse a number of workers that is none.
-
-    Raises:
-        UsageError: it is less than 1.
-    """
-    if workers is not None and workers < 1:
-        raise UsageError(f"--workers {workers} is too low", fix="give at least 1")
 
 
 def worker_count(wanted: int | None, jobs: int) -> int:
@@ -271,7 +260,7 @@ class WorkerOutput:
 
 
 class Interrupts:
-    """Listens for signals while a run is under way.
+    """Listens for signals while a run is under way; blocks may be nested.
 
     Python delivers signals to the main thread only; elsewhere (a notebook's executor, a test's
     thread) this listens to nothing and `requested` stays None.
@@ -280,10 +269,12 @@ class Interrupts:
     def __init__(self) -> None:
         self.requested: signal.Signals | None = None
         self._is_ending = False
+        self._depth = 0
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():
+        self._depth += 1
+        if self._depth == 1 and threading.current_thread() is threading.main_thread():
             self._before = {number: signal.signal(number, self._heard) for number in _SIGNALS}
         return self
 
@@ -293,9 +284,11 @@ class Interrupts:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-        self._before = {}
+        self._depth -= 1
+        if self._depth == 0:
+            for number, handler in self._before.items():
+                signal.signal(number, handler)
+            self._before = {}
 
     def _heard(self, number: int, _frame: FrameType | None) -> None:
         if self.requested is None:

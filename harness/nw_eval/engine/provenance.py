@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -43,6 +43,7 @@ from nw_sim.rollout.confined.access import why_off
 from nw_sim.tasks import declared_by
 
 if TYPE_CHECKING:
+    from nw_eval.engine.how import How
     from nw_eval.engine.plan import Plan
     from nw_gate.results.run_folder import RunFolder
     from nw_policies import Bundle
@@ -67,21 +68,17 @@ def now() -> str:
 def run_info(
     plan: Plan,
     folder: RunFolder,
+    how: How,
     *,
-    workers: int | None,
-    in_process: bool,
-    command: tuple[str, ...],
-    labels: Mapping[str, str] | None = None,
+    workers: int | None = None,
 ) -> RunInfo:
     """Return a run's provenance as it starts.
 
     Args:
         plan: what is to be run.
         folder: of the run, absolute.
-        workers: processes; one for each core if None.
-        in_process: whether trials run in this one.
-        command: what was typed.
-        labels: what its user calls it.
+        how: how it is run.
+        workers: processes that it has; one for each core if None.
     """
     suite = plan.suite
     return RunInfo(
@@ -110,10 +107,10 @@ def run_info(
             plan.bundle.card.adapter,
             code=plan.request.allow_code and senses_by_code(plan.bundle.card),
             render=plan.render,
-            in_process=in_process,
+            in_process=how.in_process,
         ),
-        command=command,
-        labels=dict(labels or {}),
+        command=how.command,
+        labels=dict(how.labels or {}),
         code=code_info(),
         machine=machine_info(),
         versions=library_versions(),

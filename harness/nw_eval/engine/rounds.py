@@ -11,7 +11,7 @@ attempt still to come.
 from __future__ import annotations
 
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -25,8 +25,7 @@ from nw_eval.engine.rows import make_row
 from nw_sim.rollout.job import as_outcome, policy_fault
 
 if TYPE_CHECKING:
-    import signal
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from nw_base.words import Arm
     from nw_eval.engine.known import KnownTrials
@@ -55,87 +54,8 @@ class RunStanding:
     unless a scene is waited for."""
     waits_for: tuple[str, ...] = ()
     """Scenes that hold a PASS back, of which no trial is left to run."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunOutcome:
-    """What became of a run."""
-
-    rows: Sequence[Row]  # the latest of every trial that finished, in this run or before
-    missing: tuple[str, ...]  # trials that were to be run and have no row, by id
-    enough: RunStanding | None  # trials that were; None = no trial of the plan was left out
-    interrupted: signal.Signals | None  # which signal stopped it
-
-
-def run_trials(
-    jobs: Sequence[TrialJob],
-    *,
-    journal: Journal,
-    folder: RunFolder,
-    policy: str,
-    start_workers: StartWorkers,
-    arm: Arm = "candidate",
-    workers: int | None = None,
-    enough: Enough | None = None,
-    listener: Listener | None = None,
-    known: KnownTrials | NothingKnown | None = None,
-) -> RunOutcome:
-    """Run every job that the journal has no result of, and write each result to it at once.
-
-    A trial that ends in an error is run again in a process of its own (`engine.rounds`). The
-    first Ctrl-C or SIGTERM stops the workers and returns what is finished; the journal can be
-    resumed. A second one raises KeyboardInterrupt.
-
-    Args:
-        jobs: in the order in which to start them; their trials' ids differ.
-        journal: open; its rows with a result are not run again.
-        folder: of the run.
-        policy: the policy's name, for rows.
-        start_workers: gets workers.
-        arm: whether the policy is the one that is judged, for rows.
-        workers: how many; one for each core if None.
-        enough: asked before the first trial and whenever one has ended, with the rows of those that
-            have, by index in the drawn order, what comes next. No more trials run ahead than there
-            are workers. None = all of them run.
-        listener: told of progress.
-        known: what of it need not be run, because an earlier run has its result; nothing if None.
-
-    Raises:
-        StoreError: the journal cannot be written, and what it holds stays; or it was removed.
-        TrialError: workers cannot be kept alive.
-        KeyboardInterrupt: a second signal came before the first was obeyed.
-    """
-    told = listener or NullListener()
-    attempts = Attempts(
-        journal=journal,
-        folder=folder,
-        policy=policy,
-        arm=arm,
-        listener=told,
-        start_workers=start_workers,
-        workers=worker_count(workers, len(jobs)),
-        known=known or NothingKnown(),
-    )
-    told.planned(total=len(jobs), finished=attempts.finished_of(jobs))
-    standing = None
-    with Interrupts() as interrupts, attempts:
-        if enough is None:
-            attempts.settle(jobs, interrupts)
-        else:
-            standing = _ahead(jobs, attempts, interrupts, enough)
-    wanted = jobs
-    if standing is not None:
-        judged = {*range(standing.first), *standing.followed}
-        wanted = [job for job in jobs if job.trial.place in judged]
-        told.message(_ended(standing, len(wanted), len(jobs)))
-    attempts.presence.check()
-    names = {row.trial_id for row in journal.rows}
-    return RunOutcome(
-        rows=journal.rows,
-        missing=tuple(job.trial.id for job in wanted if job.trial.id not in names),
-        enough=standing,
-        interrupted=interrupts.requested,
-    )
+    lacks: tuple[int, ...] = ()
+    """Places of the control's trials that are to run before any further one of the run's own."""
 
 
 def _ended(standing: RunStanding, ran: int, of: int) -> str:
@@ -149,71 +69,37 @@ def _ended(standing: RunStanding, ran: int, of: int) -> str:
     return f"decided after {plural(ran, 'trial')}: {of - ran} of {of} trials need not run"
 
 
-def _ahead(
-    jobs: Sequence[TrialJob], attempts: Attempts, interrupts: Interrupts, enough: Enough
-) -> RunStanding | None:
-    """Run trials in their drawn order until there are enough.
-
-    Workers run ahead in the order, at most one trial each beyond what is known to be judged. Which
-    trials are judged does not depend on their number, their speed, or a resume.
-
-    Returns:
-        How it stands; None if no trial was left out, or a signal came first.
-    """
-    by_place = {job.trial.place: job for job in jobs}
-    started = set[int]()
-
-    def standing() -> RunStanding:
-        ended = {
-            place: row
-            for place, job in by_place.items()
-            if place is not None and (row := attempts.ended_row(job)) is not None
-        }
-        return enough(ended)
-
-    def more() -> list[TrialJob] | None:
-        now = standing()
-        if not now.ahead:
-            return None
-        places = [place for place in now.ahead[: attempts.workers] if place not in started]
-        started.update(places)
-        return [by_place[place] for place in places]
-
-    while interrupts.requested is None:
-        started.clear()
-        if not (first := more()):
-            break
-        attempts.settle(first, interrupts, more)
-    if interrupts.requested is not None:
-        return None
-    for job in by_place.values():
-        if job.mcap is not None and attempts.ended_row(job) is None:
-            job.mcap.with_name(f"{job.mcap.name}.partial").unlink(missing_ok=True)
-    now = standing()
-    judged = now.first + len(now.followed)
-    return now if judged < len(jobs) else None
-
-
 @dataclass(kw_only=True, eq=False)
 class Attempts:
-    """All attempts of one run; a context manager that stops its workers."""
+    """All attempts of one run; a context manager that stops its workers.
 
+    A trial that ends in an error is run again in a process of its own. The first Ctrl-C or SIGTERM
+    stops the workers; the journal can be resumed. A second one raises KeyboardInterrupt.
+    """
+
+    jobs: Sequence[TrialJob]
+    """In the order in which to start them; their trials' ids differ."""
     journal: Journal
-    """Open."""
+    """Open; its rows with a result are not run again."""
     folder: RunFolder
     policy: str
     """The policy's name, for rows."""
-    arm: Arm
-    """Whether it is the one that is judged, for rows."""
-    listener: Listener
     start_workers: StartWorkers
-    workers: int
-    """How many."""
-    known: KnownTrials | NothingKnown
+    arm: Arm = "candidate"
+    """Whether the policy is the one that is judged, for rows."""
+    wanted_workers: int | None = None
+    """How many; one for each core if None."""
+    listener: Listener = field(default_factory=NullListener)
+    """Hears of progress."""
+    known: KnownTrials | NothingKnown = field(default_factory=NothingKnown)
     """What need not be run, because an earlier run has its result."""
+    interrupts: Interrupts = field(default_factory=Interrupts)
+    """Hears signals while trials run."""
 
     def __post_init__(self) -> None:
         journal = self.journal
+        self.by_place = {j.trial.place: j for j in self.jobs if j.trial.place is not None}
+        self.workers = worker_count(self.wanted_workers, len(self.jobs))
         self.presence = Presence(journal.path)
         self._pool: Workers | None = None  # They make first attempts, one round after the other.
         self._cleanup = ExitStack()
@@ -232,11 +118,75 @@ class Attempts:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stop_workers()
+        self.stop_workers()
 
-    def finished_of(self, jobs: Iterable[TrialJob]) -> int:
-        """Return how many of the jobs had a result when the run began."""
-        return sum(self._is_finished(job) for job in jobs)
+    def run(self, enough: Enough | None = None) -> RunStanding | None:
+        """Run every job that has no result, or those that are needed; write each result at once.
+
+        Workers run ahead in the drawn order, at most one trial each beyond what is known to be
+        judged. Which trials are judged does not depend on their number, their speed, or a resume.
+
+        Args:
+            enough: asked before the first trial and whenever one has ended, with the rows of those
+                that have, by place in the drawn order, what comes next; None = all run.
+
+        Returns:
+            How it stands once no trial is needed, or the control is to run first; None if no trial
+            was left out, or a signal came first.
+
+        Raises:
+            StoreError: the journal cannot be written, and what it holds stays; or it was removed.
+            TrialError: workers cannot be kept alive.
+            KeyboardInterrupt: a second signal came before the first was obeyed.
+        """
+        with self.interrupts:
+            if enough is None:
+                self.settle(self.jobs)
+            standing = None if enough is None else self._run_ahead(enough)
+        self.presence.check()
+        return standing
+
+    def _run_ahead(self, enough: Enough) -> RunStanding | None:
+        started = set[int]()
+
+        def more() -> list[TrialJob] | None:
+            now = enough(self.ended())
+            if now.lacks:
+                return []  # What runs ends, and nothing more begins.
+            if not now.ahead:
+                return None
+            places = [place for place in now.ahead[: self.workers] if place not in started]
+            started.update(places)
+            return [self.by_place[place] for place in places]
+
+        while self.interrupts.requested is None and (jobs := more()):
+            self.settle(jobs, more)
+            started.clear()
+        if self.interrupts.requested is not None:
+            return None
+        now = enough(self.ended())
+        return now if now.lacks else self._left_out(now)
+
+    def _left_out(self, now: RunStanding) -> RunStanding | None:
+        """Say what is not run, and leave no beginning of it; None if all trials have run."""
+        for job in self.jobs:
+            if job.mcap is not None and self.ended_row(job) is None:
+                job.mcap.with_name(f"{job.mcap.name}.partial").unlink(missing_ok=True)
+        judged = now.first + len(now.followed)
+        if judged == len(self.jobs):
+            return None
+        self.listener.message(_ended(now, judged, len(self.jobs)))
+        return now
+
+    def ended(self) -> dict[int, Row]:
+        """Return the rows of trials that have ended, by place in the drawn order."""
+        rows = {place: self.ended_row(job) for place, job in self.by_place.items()}
+        return {place: row for place, row in rows.items() if row is not None}
+
+    @property
+    def finished(self) -> int:
+        """How many of the jobs had a result when the run began."""
+        return sum(self._is_finished(job) for job in self.jobs)
 
     def ended_row(self, job: TrialJob) -> Row | None:
         """Return the row of a trial that needs no further attempt; None of one that does."""
@@ -246,10 +196,7 @@ class Attempts:
         return self._latest[name] if self._is_finished(job) else None
 
     def settle(
-        self,
-        jobs: Sequence[TrialJob],
-        interrupts: Interrupts,
-        more: Callable[[], list[TrialJob] | None] | None = None,
+        self, jobs: Sequence[TrialJob], more: Callable[[], list[TrialJob] | None] | None = None
     ) -> None:
         """Run jobs that have no result until none deserves another attempt, or a signal came.
 
@@ -257,7 +204,6 @@ class Attempts:
 
         Args:
             jobs: any.
-            interrupts: heard whenever workers say something, and some ten times a second.
             more: asked whenever one has ended which others are to run as well; None: nothing that
                 runs is needed any more. What it says is dropped once a trial is to run again.
         """
@@ -272,20 +218,20 @@ class Attempts:
             again = [job for job in portion if self._awaits_repeat(job)]
             first = [job for job in portion if not self._awaits_repeat(job)]
             self._is_held |= bool(again)
-            if first and interrupts.requested is None:
+            if first and self.interrupts.requested is None:
                 if self._pool is None:
                     self._pool = self._cleanup.enter_context(
                         self.start_workers(self.workers, fresh=False)
                     )
-                again += self._attempt(self._pool, first, interrupts, more, fresh=False)
-            while again and interrupts.requested is None and not self._is_enough:
-                self._stop_workers()  # What they hold in memory may be what the others lack.
+                again += self._attempt(self._pool, first, more, fresh=False)
+            while again and self.interrupts.requested is None and not self._is_enough:
+                self.stop_workers()  # What they hold in memory may be what the others lack.
                 repeated = [_with_evidence(job) for job in again]
                 with self.start_workers(min(self.workers, len(again)), fresh=True) as workers:
-                    again = self._attempt(workers, repeated, interrupts, None, fresh=True)
+                    again = self._attempt(workers, repeated, None, fresh=True)
             if self._is_enough:
                 self.known.unconfirmed()
-            if is_last or self._is_enough or interrupts.requested is not None:
+            if is_last or self._is_enough or self.interrupts.requested is not None:
                 return
             self._take_over(at_last=True)
             portion = self.known.unconfirmed()
@@ -303,7 +249,8 @@ class Attempts:
             self._ended[row.trial_id] = row
             self.listener.trial(row)
 
-    def _stop_workers(self) -> None:
+    def stop_workers(self) -> None:
+        """End the workers; more are had when more trials run."""
         self._pool = None
         self._cleanup.close()
 
@@ -316,7 +263,6 @@ class Attempts:
         self,
         workers: Workers,
         jobs: Sequence[TrialJob],
-        interrupts: Interrupts,
         more: Callable[[], list[TrialJob] | None] | None,
         *,
         fresh: bool,
@@ -326,7 +272,6 @@ class Attempts:
         Args:
             workers: idle.
             jobs: any.
-            interrupts: after the first of them, the rest is left.
             more: as for `settle`.
             fresh: these are further attempts, each in a process of its own.
         """
@@ -346,10 +291,10 @@ class Attempts:
                     self.listener.trial(row)
                     self._take_over()
                 if more is not None and not self._go_on(workers, more):
-                    self._stop_workers()  # What runs was given ahead of what is judged.
+                    self.stop_workers()  # What runs was given ahead of what is judged.
                     return []
             self.presence.check()
-            if interrupts.requested is not None:
+            if self.interrupts.requested is not None:
                 break
         return again
 

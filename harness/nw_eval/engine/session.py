@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from nw_base.errors import UsageError
 from nw_base.files.cache import atomic_path, made_place
 from nw_base.files.traceback_file import TracebackIn
 from nw_eval.engine.cache import told_of_cache
 from nw_eval.engine.known import known_trials
-from nw_eval.engine.listener import Listener, NullListener
-from nw_eval.engine.machine import worker_count
+from nw_eval.engine.machine import Interrupts, worker_count
 from nw_eval.engine.order import in_order
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import (
@@ -25,7 +25,7 @@ from nw_eval.engine.prepare import (
     ready_scans,
 )
 from nw_eval.engine.provenance import journal_header, now, run_info
-from nw_eval.engine.rounds import run_trials
+from nw_eval.engine.rounds import Attempts
 from nw_eval.engine.workers import worker_pool
 from nw_gate.results.ended import of_plan, wanted, write_trials
 from nw_gate.results.journal import Journal, has_begun
@@ -42,56 +42,67 @@ from nw_scenes.robots import get_robot
 from nw_sim.rollout.confined.access import why_off
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
+    from nw_eval.engine.how import How
+    from nw_eval.engine.known import KnownTrials, NothingKnown
+    from nw_eval.engine.listener import Listener
     from nw_eval.engine.pool import StartWorkers, Workers
     from nw_eval.engine.rounds import Enough, RunStanding
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
     from nw_scenes import Scene
 
-    Prelude = Callable[[RunFolder, RunInfo], RunInfo]
-
 _REPORTS = "reports"
+
+
+class Contest(Protocol):
+    """A run against a baseline, as the loop of `carry_out` asks about it; a context manager."""
+
+    def __enter__(self) -> object: ...
+
+    def __exit__(self, *error: object) -> None: ...
+
+    def begin(self, own: Session, interrupts: Interrupts) -> RunInfo:
+        """Return what run.json is to say once it is known what the baseline is to this machine.
+
+        A `stop` with no trial, or `interrupted`, ends the run there.
+        """
+        ...
+
+    def next(self, ended: Mapping[int, Row]) -> RunStanding:
+        """Return how it stands, from the rows that have ended by place in the drawn order."""
+        ...
+
+    def run_beside(self, places: Sequence[int]) -> None:
+        """Run trials of the baseline's own policy at places of the drawn order."""
+        ...
+
+    def end(self, run: RunInfo) -> None:
+        """Hear what run.json says in the end."""
+        ...
 
 
 def carry_out(
     plan: Plan,
+    how: How,
     *,
-    workers: int | None,
-    out: Path | None,
-    resume: Path | None,
-    command: tuple[str, ...],
-    labels: Mapping[str, str] | None = None,
-    listener: Listener | None,
-    in_process: bool = False,
-    cluster: str | None = None,
-    prelude: Prelude | None = None,
-    enough: Enough | None = None,
-    cache: bool = True,
+    out: Path | None = None,
+    resume: Path | None = None,
+    contest: Contest | None = None,
     meanwhile: Callable[[], None] | None = None,
 ) -> RunFolder:
     """Run what has no result yet and leave a folder that can be judged, or resumed.
 
-    run.json is written before there is a journal: whatever ends the run from then on, the folder
-    says what it is of, and a folder without a journal's first line is one of which nothing has run.
+    Against a baseline the contest says after each trial what comes next. Where it needs trials of
+    the baseline's own policy, these run between those of the plan.
 
     Args:
         plan: what is to be run.
-        workers: how many; one for each core if None.
+        how: how it is run.
         out: the run's folder; a new one in `reports/` if None.
         resume: the folder of an interrupted run, whose finished trials are kept.
-        command: what was typed.
-        labels: what its user calls it; a run that is resumed keeps those that it has besides.
-        listener: hears of progress.
-        in_process: whether trials run in this very process: see `engine.workers`.
-        cluster: the address of the Ray cluster on whose nodes trials run: see
-            `engine.ray_connection`; None = in processes of this machine.
-        prelude: called before the first trial, with the run's folder and run.json, of which it
-            returns what it is to say from then on; a `stop` with no trial, or `interrupted`, ends
-            the run there.
-        enough: asked after each trial what comes next: see `run_trials`.
-        cache: whether results of earlier runs are reused: see `engine.known`.
+        contest: the plan against its baseline; None = all trials run.
         meanwhile: called in a thread while trials run in other processes; it raises nothing.
 
     Raises:
@@ -102,83 +113,204 @@ def carry_out(
         UsageError: `out` holds a run; there is no such cluster, or it cannot be sent what the run
             needs; or `NW_EVAL_CACHE_GB` is no size.
     """
-
-    def beside_trials() -> None:
-        _write_layout(plan, folder)
-        if meanwhile is not None and not in_process:
-            meanwhile()
-
-    listener = listener or NullListener()
-    told = told_of_cache()  # Before anything is written, if a size is none.
-    if told and not _uncached(cache=cache, in_process=in_process):
-        listener.message(told)
+    interrupts = Interrupts()
     with (
-        worker_pool(workers=workers, in_process=in_process, cluster=cluster) as place,
-        SplatBuilders(
-            _in_need(plan) if plan.renders else (),
-            count=worker_count(place.workers, len(plan.scenes)),
-            on_demand=not needs_splats_first(plan.bundle.card, plan.suite.record),
-            listener=listener,
-        ) as builders,
+        Session(plan, how, interrupts, out=out, resume=resume, meanwhile=meanwhile) as own,
+        contest or nullcontext(),
     ):
-        _open_backend(plan, listener, builders, in_process=in_process)
-        folder = _folder(plan, out, resume)
-        listener.message(f"run folder: {folder.path}")
-        # Workers and rows need a path that means the same everywhere.
-        folder = RunFolder(path=folder.path.resolve())
-        info = run_info(
-            plan,
-            folder,
-            workers=place.workers,
-            in_process=in_process,
-            command=command,
-            labels=labels,
-        )
-        with TracebackIn(folder.path), _journal(plan, folder, info) as journal:
-            if journal.dropped:
-                listener.message(journal.dropped)
-            of_plan(journal.rows, plan.trials, checkpoint=info.policy.checkpoint_digest)
-            if resume is not None:
-                info = _with_earlier_sessions(info, folder)
-                drop_links(folder.path)
-            began = perf_counter()
-            if prelude is not None:
-                info = prelude(folder, info)
-                write_run_info(folder.run_json, info)
-            if (info.stop is None or info.stop.trials) and not info.interrupted:
-                _ready_scenes(plan, builders, listener, is_local=place.is_local)
-                jobs = plan_jobs(plan, folder)
-                with (
-                    place.start_workers(plan, jobs, folder, listener, builders) as start_workers,
-                    known_trials(
-                        plan,
-                        folder,
-                        off=_uncached(cache=cache, in_process=in_process),
-                        listener=listener,
-                        doubted=lambda: write_run_info(
-                            folder.run_json, _with_cache(info, known.info)
-                        ),
-                    ) as known,
-                    BackgroundTask(start_workers, beside_trials) as begins,
-                ):
-                    outcome = run_trials(
-                        jobs,
-                        journal=journal,
-                        folder=folder,
-                        policy=plan.bundle.name,
-                        arm=plan.arm,
-                        start_workers=begins,
-                        workers=place.workers,
-                        enough=enough,
-                        listener=listener,
-                        known=known,
-                    )
-                enough_ran = None if outcome.enough is None else stop_of(plan, outcome.enough)
-                info = _with_cache(info, known.info).model_copy(
-                    update={"interrupted": outcome.interrupted is not None, "stop": enough_ran}
+        if contest is not None:
+            own.keep(contest.begin(own, interrupts))
+        if (own.info.stop is None or own.info.stop.trials) and not own.info.interrupted:
+            # What is enough shows in the order of the whole run only, of which a part has none.
+            enough = None if contest is None or plan.shard else contest.next
+            with interrupts:
+                while (standing := own.run(enough)) is not None and standing.lacks:
+                    assert contest is not None, "only a contest lacks a control's trials"
+                    contest.run_beside(standing.lacks)
+            own.finish(None if standing is None else stop_of(plan, standing))
+        else:
+            own.finish(own.info.stop)
+        if contest is not None:
+            contest.end(own.info)
+    return own.folder
+
+
+class Session:
+    """A run under way: its folder, its journal and its workers; a context manager.
+
+    run.json is written before there is a journal: whatever ends the run from then on, the folder
+    says what it is of, and a folder without a journal's first line is one of which nothing has run.
+
+    Args:
+        plan: what is to be run.
+        how: how it is run.
+        interrupts: hears signals while trials run.
+        out: the run's folder; a new one in `reports/` if None.
+        resume: the folder of an interrupted run, whose finished trials are kept.
+        meanwhile: called in a thread while trials run in other processes; it raises nothing.
+
+    Raises, when entered:
+        As `carry_out`.
+    """
+
+    folder: RunFolder
+    info: RunInfo
+    """What run.json says, or is to say once something has run."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        how: How,
+        interrupts: Interrupts,
+        *,
+        out: Path | None = None,
+        resume: Path | None = None,
+        meanwhile: Callable[[], None] | None = None,
+    ) -> None:
+        self._plan, self._how, self._interrupts = plan, how, interrupts
+        self._out, self._resume, self._meanwhile = out, resume, meanwhile
+        self._cleanup, self._running = ExitStack(), ExitStack()
+        self._attempts: Attempts | None = None
+        self._known: KnownTrials | NothingKnown | None = None
+
+    def __enter__(self) -> Self:
+        plan, how, told = self._plan, self._how, self._how.told
+        words = told_of_cache()  # Before anything is written, if a size is none.
+        if words and not how.uncached:
+            told.message(words)
+        with ExitStack() as stack:
+            self._place = stack.enter_context(worker_pool(how))
+            self._builders = stack.enter_context(
+                SplatBuilders(
+                    _in_need(plan) if plan.renders else (),
+                    count=worker_count(self._place.workers, len(plan.scenes)),
+                    on_demand=not needs_splats_first(plan.bundle.card, plan.suite.record),
+                    listener=told,
                 )
-            _finish(plan, folder, info, journal.rows, wall=perf_counter() - began)
-        return folder
+            )
+            _open_backend(plan, told, self._builders, in_process=how.in_process)
+            folder = _folder(plan, self._out, self._resume)
+            told.message(f"run folder: {folder.path}")
+            # Workers and rows need a path that means the same everywhere.
+            self.folder = RunFolder(path=folder.path.resolve())
+            self.info = run_info(plan, self.folder, how, workers=self._place.workers)
+            stack.enter_context(TracebackIn(self.folder.path))
+            self._journal = stack.enter_context(_journal(plan, self.folder, self.info))
+            if self._journal.dropped:
+                told.message(self._journal.dropped)
+            of_plan(self._journal.rows, plan.trials, checkpoint=self.info.policy.checkpoint_digest)
+            if self._resume is not None:
+                self.info = _with_earlier_sessions(self.info, self.folder)
+                drop_links(self.folder.path)
+            self._began = perf_counter()
+            self._earlier_s = self.info.wall_s
+            stack.push(self._running)
+            self._cleanup = stack.pop_all()
+        return self
+
+    def __exit__(self, *error: Any) -> None:  # noqa: PYI036 - an exit stack wants their types.
+        self._cleanup.__exit__(*error)
+
+    @property
+    def rows(self) -> Sequence[Row]:
+        """Of all trials that have ended, in this session or before."""
+        return self._journal.rows
+
+    def keep(self, info: RunInfo) -> None:
+        """Let run.json say something else."""
+        self.info = info
+        write_run_info(self.folder.run_json, info)
+
+    def run(self, enough: Enough | None = None) -> RunStanding | None:
+        """Run trials until they are enough: see `Attempts.run`."""
+        attempts = self._begun()
+        standing = attempts.run(enough)
+        if standing is not None and standing.lacks and not self._place.is_local:
+            attempts.stop_workers()  # A cluster has no cores for those of two runs.
+        return standing
+
+    def run_these(self, places: Iterable[int]) -> None:
+        """Run the trials at some places of the drawn order that have no result; end the workers."""
+        attempts = self._begun()
+        drop_links(self.folder.path)
+        with self._interrupts:
+            attempts.settle([attempts.by_place[place] for place in sorted(places)])
+        attempts.stop_workers()
+
+    def finish(self, stop: StopInfo | None) -> None:
+        """End all workers, and write the rows that are judged.
+
+        Args:
+            stop: which trials were enough; None = all.
+        """
+        if self._attempts is not None:
+            self._running.close()
+        self.save(stop)
+
+    def save(self, stop: StopInfo | None) -> None:
+        """Write the rows that are judged, and run.json; more trials may run afterwards.
+
+        Args:
+            stop: which trials were enough; None = all.
+        """
+        plan, folder, info = self._plan, self.folder, self.info
+        if self._known is not None:
+            info = _with_cache(self._before, self._known.info)
+        is_cut = info.interrupted or self._interrupts.requested is not None
+        info = info.model_copy(update={"interrupted": is_cut, "stop": stop})
+        rows, _ = of_plan(
+            self._journal.rows,
+            wanted(plan.trials, info.stop),
+            checkpoint=info.policy.checkpoint_digest,
+        )
+        ended = write_trials(folder, info, rows)
+        link_logs(folder.path, rows)
+        # A run that was resumed cost what all its sessions did.
+        wall = self._earlier_s + perf_counter() - self._began
+        self.keep(ended.model_copy(update={"finished": now(), "wall_s": wall}))
+
+    def _begun(self) -> Attempts:
+        """Return what makes attempts, with workers, scenes and the cache opened once."""
+        if self._attempts is not None:
+            return self._attempts
+        plan, how, folder, stack = self._plan, self._how, self.folder, self._running
+        _ready_scenes(plan, self._builders, how.told, is_local=self._place.is_local)
+        jobs = plan_jobs(plan, folder)
+        self._before = self.info
+        start_workers = stack.enter_context(
+            self._place.start_workers(plan, jobs, folder, how.told, self._builders)
+        )
+        self._known = stack.enter_context(
+            known_trials(
+                plan, folder, off=how.uncached, listener=how.told, doubted=self._write_cache
+            )
+        )
+        begins = stack.enter_context(BackgroundTask(start_workers, self._beside_trials))
+        self._attempts = stack.enter_context(
+            Attempts(
+                jobs=jobs,
+                journal=self._journal,
+                folder=folder,
+                policy=plan.bundle.name,
+                arm=plan.arm,
+                start_workers=begins,
+                wanted_workers=self._place.workers,
+                listener=how.told,
+                known=self._known,
+                interrupts=self._interrupts,
+            )
+        )
+        how.told.planned(total=len(jobs), finished=self._attempts.finished)
+        return self._attempts
+
+    def _write_cache(self) -> None:
+        assert self._known is not None, "it is what calls this"
+        write_run_info(self.folder.run_json, _with_cache(self._before, self._known.info))
+
+    def _beside_trials(self) -> None:
+        _write_layout(self._plan, self.folder)
+        if self._meanwhile is not None and not self._how.in_process:
+            self._meanwhile()
 
 
 def _in_need(plan: Plan) -> list[Scene]:
@@ -292,33 +424,6 @@ def stop_of(plan: Plan, standing: RunStanding) -> StopInfo:
     stop = StopInfo(first=standing.first, followed=standing.followed)
     counts = Counter(trial.scene for trial in wanted(plan.trials, stop))
     return stop.model_copy(update={"trials": dict(sorted(counts.items()))})
-
-
-def _uncached(*, cache: bool, in_process: bool) -> str:
-    """Return why a run is to do without the cache of trials; empty if it is not."""
-    if in_process:
-        return "in the calling process"  # For a debugger, which wants to see it run.
-    return "" if cache else "--no-cache"
-
-
-def _finish(
-    plan: Plan, folder: RunFolder, info: RunInfo, rows: Iterable[Row], *, wall: float
-) -> None:
-    """Write the rows of the plan, and what run.json is to say of them."""
-    trials = wanted(plan.trials, info.stop)
-    rows, _ = of_plan(rows, trials, checkpoint=info.policy.checkpoint_digest)
-    ended = write_trials(folder, info, rows)
-    link_logs(folder.path, rows)
-    write_run_info(
-        folder.run_json,
-        ended.model_copy(
-            update={
-                "finished": now(),
-                # A run that was resumed cost what all its sessions did.
-                "wall_s": info.wall_s + wall,
-            }
-        ),
-    )
 
 
 class BackgroundTask:

@@ -21,6 +21,7 @@ from nw_gate.results.provenance import PACKAGES
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Sequence
 
+    from nw_eval.engine.how import How
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
     from nw_eval.engine.pool import StartWorkers
@@ -85,27 +86,21 @@ class WorkerPool:
 
 
 @contextmanager
-def worker_pool(
-    *, workers: int | None, in_process: bool, cluster: str | None
-) -> Generator[WorkerPool]:
+def worker_pool(how: How) -> Generator[WorkerPool]:
     """Open a pool of workers that can run trials, before anything of a run is written.
-
-    Args:
-        workers: how many trials at a time; one for each core if None.
-        in_process: whether it is this process.
-        cluster: the address of a Ray cluster; None = this machine.
 
     Raises:
         PrerequisiteError: Ray is not installed.
         UsageError: there is no such cluster.
     """
-    if cluster is None:
-        yield WorkerPool(workers=1 if in_process else workers, in_process=in_process)
+    if how.cluster is None:
+        yield WorkerPool(workers=1 if how.in_process else how.workers, in_process=how.in_process)
         return
     from nw_eval.engine.ray_connection import joined
 
-    with joined(cluster, cores=workers) as found:
-        yield WorkerPool(workers=found.cores if workers is None else workers, joined=found)
+    with joined(how.cluster, cores=how.workers) as found:
+        count = found.cores if how.workers is None else how.workers
+        yield WorkerPool(workers=count, joined=found)
 
 
 class InProcess:

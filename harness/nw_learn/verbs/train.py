@@ -80,14 +80,14 @@ class Student(Program):
     """Processes that drive trajectories; one for each core when absent."""
 
     def _train(self, config: Path, out: Path) -> Trained:
-        from nw_eval.engine.machine import check_workers
+        from nw_eval.engine.how import check_workers
         from nw_learn.student.train import train_student
 
         check_workers(self.workers)
         return train_student(config, out, say=self._say, workers=self.workers)
 
     def _go_on(self, folder: Path) -> Trained:
-        from nw_eval.engine.machine import check_workers
+        from nw_eval.engine.how import check_workers
         from nw_learn.student.train import resume_student
 
         check_workers(self.workers)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from tests.trial_runs import run_trials
 
 from nw_base.confinement import child_environment, offered
 from nw_base.files.cache import cache_dir
@@ -20,7 +21,6 @@ from nw_eval.api import check_policy, init_policy
 from nw_eval.engine.local import LocalProcesses
 from nw_eval.engine.machine import LARGEST, WorkerOutput
 from nw_eval.engine.plan import Plan, plan_jobs
-from nw_eval.engine.rounds import run_trials
 from nw_eval.suite.model import new_suite
 from nw_gate.results.journal import Journal, JournalHeader
 from nw_gate.results.request import Request

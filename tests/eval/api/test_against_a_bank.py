@@ -408,7 +408,7 @@ def test_without_a_bank_the_first_line_says_what_is_not_judged(monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(session, "run_trials", stop)
+    monkeypatch.setattr(Attempts, "run", stop)
     with pytest.raises(KeyboardInterrupt):
         against(ears=ears, baseline=None)
     assert "max_drop 0.5 was not judged: no baseline is named for ./soft" in ears.lines[0]

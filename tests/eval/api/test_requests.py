@@ -14,7 +14,8 @@ import trimesh
 from nw_base.errors import IncomparableError, UsageError
 from nw_eval import api
 from nw_eval.cli.verbs import parse
-from nw_eval.engine import local, session
+from nw_eval.engine import local
+from nw_eval.engine.rounds import Attempts
 from nw_gate.results.provenance import read_run_info
 from nw_gate.results.request import Request
 from nw_gate.results.seal import seal
@@ -51,11 +52,11 @@ def jobs(monkeypatch):
     """The jobs of every run that came to its first trial; there it ends."""
     kept = []
 
-    def stop(planned, **_):
-        kept.append(planned)
+    def stop(attempts, _enough):
+        kept.append(attempts.jobs)
         raise Stopped
 
-    monkeypatch.setattr(session, "run_trials", stop)
+    monkeypatch.setattr(Attempts, "run", stop)
     return kept
 
 

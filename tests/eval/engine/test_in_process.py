@@ -7,14 +7,16 @@ import sys
 
 import numpy as np
 import pytest
+from tests.trial_runs import run_trials
 
 from nw_base.errors import PolicyError
 from nw_base.trials import expand
 from nw_eval import api
 from nw_eval.engine import session
+from nw_eval.engine.how import How
 from nw_eval.engine.local import LocalProcesses
 from nw_eval.engine.plan import Plan, plan_jobs
-from nw_eval.engine.rounds import RunStanding, run_trials
+from nw_eval.engine.rounds import RunStanding
 from nw_eval.engine.workers import InProcess
 from nw_eval.suite.model import new_suite
 from nw_gate.results.journal import Journal, JournalHeader, read_journal
@@ -148,6 +150,25 @@ def go(tmp_path):
     return run
 
 
+class Contest:
+    """Asks nothing of the run but what is enough."""
+
+    def __init__(self, enough):
+        self.next = enough
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def begin(self, own, _interrupts):
+        return own.info
+
+    def end(self, _run):
+        pass
+
+
 @pytest.fixture
 def session_of(tmp_path):
     """Return what runs a bundle's trials as `nw-eval run` does: in this process, or in workers."""
@@ -155,13 +176,10 @@ def session_of(tmp_path):
     def run(bundle, *, trials, enough=None, name="run", workers=None, resume=False, **how):
         return session.carry_out(
             plan_of(bundle, trials=trials, **how),
-            workers=workers,
+            How(workers=workers, in_process=workers is None),
             out=None if resume else tmp_path / name,
             resume=tmp_path / name if resume else None,
-            command=(),
-            listener=None,
-            in_process=workers is None,
-            enough=enough,
+            contest=None if enough is None else Contest(enough),
         )
 
     return run

@@ -7,11 +7,12 @@ from collections import deque
 from dataclasses import dataclass, replace
 
 import pytest
+from tests.trial_runs import run_trials
 
 from nw_base.trials import expand
 from nw_eval.engine.order import in_order
 from nw_eval.engine.pool import Finished
-from nw_eval.engine.rounds import RunStanding, run_trials
+from nw_eval.engine.rounds import RunStanding
 from nw_eval.suite.model import new_suite
 from nw_gate.results.journal import Journal, JournalHeader, read_journal
 from nw_gate.results.row import rows_digest

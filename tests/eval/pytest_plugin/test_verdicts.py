@@ -3,6 +3,7 @@
 import os
 import signal
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -265,7 +266,12 @@ def test_a_bank_is_saved_for_a_review_and_passes_once_it_is_there(
     suite, run, pytester, monkeypatch, folders, other
 ):
     monkeypatch.setattr(baselines_saved, "STARTS", 1)
-    monkeypatch.setattr(session, "carry_out", partial(session.carry_out, in_process=True))
+    carry_out = session.carry_out
+    monkeypatch.setattr(
+        session,
+        "carry_out",
+        lambda plan, how, **words: carry_out(plan, replace(how, in_process=True), **words),
+    )
     suite(gate="gate: {max_drop: 0.1, rounds: 1}")
     arguments = ("tiny.yaml", "-v", "-rfs", "--nw-update-baseline")
     first = run(*arguments)

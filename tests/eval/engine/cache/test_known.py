@@ -5,10 +5,11 @@ from random import Random
 
 import pytest
 from cache_parts import DONE, Office, conditions_of, jobs_of, row_of
+from tests.trial_runs import run_trials
 
 from nw_eval.engine import machine
 from nw_eval.engine.known import KnownTrials
-from nw_eval.engine.rounds import RunStanding, run_trials
+from nw_eval.engine.rounds import RunStanding
 from nw_gate.results.journal import Journal, JournalHeader
 from nw_gate.results.row import rows_digest
 from nw_gate.results.run_folder import RunFolder
