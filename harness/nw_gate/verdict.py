@@ -128,7 +128,8 @@ class Verdict:
 
 
 Basis = Literal["same", "panel", "control", "fresh"]
-"""What the baseline is to the candidate's trials. same: the policy is the baseline, by its digests.
+"""What the baseline is to the candidate's trials. same: the policy is the baseline by its digests,
+and has the baseline's bits here as far as was seen.
 panel: the baseline's result from every start is known exactly on this class of machine. control:
 bits are others here, and the baseline's policy ran beside the candidate, from the same starts.
 fresh: the candidate met other starts."""
@@ -268,8 +269,15 @@ class Comparison:
     """Scenes of the baseline that the run was not asked for."""
     control: int = 0
     """Trials of the baseline's own policy that ran beside the candidate."""
+    control_drop: tuple[float, Interval] | None = None
+    """How much less the control scores than the baseline says, and the values that are not
+    excluded, at the errors of `interval`; None without a control, or before a report is asked
+    for."""
     again: Recheck | None = None
     """What ran of the baseline's own policy, where the candidate is that policy on its starts."""
+    is_own: bool = False
+    """Whether the candidate is the baseline's own policy, with other bits than the baseline's: what
+    is compared is this machine or version."""
     curve: tuple[CurvePoint, CurvePoint, CurvePoint] | None = None
     """How this gate ends for an equal policy, and for ones worse by half of max_drop and by it;
     simulated, where that was asked for."""

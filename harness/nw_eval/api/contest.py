@@ -190,8 +190,9 @@ class Contest:
             met = setup.met(list(ended.values()))
             is_met = met.ended(every)
             return RunStanding(first=len(every), ahead=tuple(x for x in every if not is_met[x]))
-        if self._plan.is_baseline:
-            return self._of_recheck(ended, setup)
+        if self._plan.is_baseline and (known := self._of_recheck(ended, setup)) is not None:
+            return known
+        setup = setup.on(list(ended.values()))
         finding = setup.find(setup.met(list(ended.values())))
         bar = self._bar_by(ended, count)
         first = _ends_at(finding, bar)
@@ -208,11 +209,11 @@ class Contest:
             waits_for=_names(finding.waits_for) if passes else (),
         )
 
-    def _of_recheck(self, ended: Mapping[int, Row], setup: ComparisonSetup) -> RunStanding:
+    def _of_recheck(self, ended: Mapping[int, Row], setup: ComparisonSetup) -> RunStanding | None:
         """Return what comes next of the baseline's own policy: some starts of each scene.
 
-        Where the baseline has not seen the class of machine, and bits are others, the bar is still
-        to be judged: by the policy's own trials.
+        None where the baseline has not seen the class of machine, and bits are others: its trials
+        are judged against the baseline, and by the bar, as any candidate's are.
         """
         every = range(len(self._plan.trials))
         first = min(rechecks(self._plan.request) * len(setup.strata), len(every))
@@ -222,10 +223,7 @@ class Contest:
         again = recheck(rows, setup.run, setup.bank)
         if any(row.status == "error" for row in rows) or again.equal or again.differing:
             return RunStanding(first=first)
-        bar = self._bar_by(ended, _first_missing(ended))
-        if bar is not None:
-            return RunStanding(first=max(first, bar[0]))
-        return RunStanding(first=first, ahead=tuple(x for x in every if x not in ended))
+        return None
 
     def _bar_by(self, ended: Mapping[int, Row], count: int) -> tuple[int, Word] | None:
         """Return after how many of the first trials the bar is decided, and how; None if open."""

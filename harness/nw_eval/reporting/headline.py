@@ -120,6 +120,8 @@ def _against(found: Comparison | None, *, intervals: bool) -> list[str]:
         same = "is the same policy" if found.basis == "same" else f"scores {found.baseline:.3f}"
         return [f"baseline {found.bank} {same}", *_again(found.again)]
     beside = " (run beside)" if found.basis == "control" else ""
+    if found.is_own:
+        beside = " (the same policy, other bits here)"
     drop = f"baseline {found.bank}{beside} {found.baseline:.3f}, drop {found.drop:z.3f}"
     if intervals:
         sure_low, sure_high = percent_sure(found.alpha_regr), percent_sure(found.alpha_pass)
@@ -266,6 +268,12 @@ def _claim(found: Comparison) -> str:
             "Bits differ between this machine and the baseline's, so that its recorded results are "
             "not used: its policy ran beside the candidate, from the same starts. The claim is of "
             "new starts in these scenes."
+        )
+    if found.is_own:
+        return (
+            "The policy is the baseline's own, and bits are others here. It met starts drawn at "
+            "random, and the mean is judged after whole rounds of one trial a scene. The claim is "
+            "of new starts in these scenes on this machine and version."
         )
     # Which scenes the trials met is by chance, and the drop is free of that.
     how = (

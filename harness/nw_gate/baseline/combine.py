@@ -33,7 +33,9 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
     Where the baseline's own policy did other than the baseline says on the machine of the run, the
     verdict is INVALID: nothing is attributed to the candidate. Where the candidate is the
     baseline's own policy, the baseline's results are judged in place of the run's only if all that
-    ran again is equal. A part of a run is not judged (`_of_part`).
+    ran again is equal. If bits are others, its trials are compared with the baseline as any
+    candidate's are, and what would be REGRESSED is INVALID: the machine or the version changed. A
+    part of a run is not judged (`_of_part`).
 
     Args:
         rows: of the run's plan.
@@ -87,7 +89,10 @@ def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | N
         rows = known_rows(run, against.bank)
         planned = Counter(row.scene for row in rows)
         by_bar = partial(judge, left_out=run.left_out)
-    return combined(by_bar(rows, gate, planned, against=found), found)
+    verdict = combined(by_bar(rows, gate, planned, against=found), found)
+    if found.is_own and found.word == "REGRESSED" and verdict.verdict == "REGRESSED":
+        return replace(verdict, verdict="INVALID")
+    return verdict
 
 
 def _mend(run: RunInfo, against: Against) -> str:

@@ -256,9 +256,10 @@ def margins_of(gate: Gate) -> Margins:
     return Margins(max_drop=gate.most_drop, tolerate=gate.tolerate, scene_drop=gate.scene_drop)
 
 
-def rules_of(gate: Gate, judged: Sequence[Stratum]) -> TrialRules:
-    """Return by what a gate decides about strata that count."""
+def rules_of(gate: Gate, judged: Sequence[Stratum], *, by_rounds: bool = False) -> TrialRules:
+    """Return by what a gate decides about strata that count; `by_rounds` as in `find`."""
     return TrialRules(
+        look_every=len(judged) if by_rounds else 1,
         tiers=tuple(gate.tier(scene) for scene, _ in judged),
         margins=margins_of(gate),
         alpha_pass=1.0 - gate.confidence,
@@ -312,6 +313,7 @@ def find(
     gate: Gate,
     *,
     claim: Claim,
+    by_rounds: bool = False,
     alone: bool = False,
 ) -> Finding:
     """Return what the trials that have ended show.
@@ -323,6 +325,7 @@ def find(
         basis: what the baseline is to the trials.
         gate: margins, errors and tiers.
         claim: of which starts it is to hold. Of fresh ones no draw leaves less for the rest.
+        by_rounds: whether trials come round by round, one of each stratum.
         alone: whether to ask for intervals: they take longer than all else.
 
     Raises:
@@ -337,8 +340,12 @@ def find(
             used=tuple(places[ended].tolist()),
             evidence=dict.fromkeys(judged, 1.0),
         )
-    check_level(panel, judged, gate)
-    bank, rules = bank_of(panel, judged, basis, claim), rules_of(gate, judged)
+    if not by_rounds:
+        check_level(panel, judged, gate)
+    bank, rules = (
+        bank_of(panel, judged, basis, claim),
+        rules_of(gate, judged, by_rounds=by_rounds),
+    )
     trials = numbers_of(met, judged, panel, basis, bank)
     decision = settle(bank, trials, rules, ended)
     used = [*range(decision.mean), *decision.followed]
@@ -348,8 +355,9 @@ def find(
     for which, value in zip(seen.scenes.tolist(), own.tolist(), strict=True):
         evidence[judged[which]] = value
     alphas = {"alpha_pass": rules.alpha_pass, "alpha_regr": rules.alpha_regr}
-    mean = trials.at(range(decision.mean))
-    regressed = looks(bank, mean, rules.margins).regressed if decision.mean else np.empty(0)
+    # A round that has begun says nothing yet.
+    mean = trials.at(range(decision.mean - decision.mean % rules.look_every))
+    regressed = looks(bank, mean, rules.margins).regressed if len(mean.scenes) else np.empty(0)
     return Finding(
         word="INCONCLUSIVE" if decision.word == "undecided" else decision.word,
         first=int(places[decision.mean - 1]) + 1 if decision.mean else 0,

@@ -35,8 +35,10 @@ from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
 from nw_gate.settings import Gate
 from nw_gate.stats.bank.curve import CurvePoint, progress_from
+from nw_gate.stats.bank.interval import drop_interval_after
 from nw_gate.stats.bank.trials import CRITICAL_TRIALS, SUSPECT, most_false_alarms
 from nw_gate.stats.hazard import Ends, first_partings
+from nw_gate.stats.interval import Interval
 from nw_gate.validity import over_the_cap, that_left
 from nw_gate.verdict import Basis, Claim, Comparison, SceneDrop, percent_sure
 
@@ -61,6 +63,32 @@ class ComparisonSetup:
     order: Sequence[DrawnStart]
     left_aside: int
     """Scenes of the baseline that the run was not asked for."""
+    is_own: bool = False
+    """Whether the candidate is the baseline's own policy, with other bits than the baseline's."""
+
+    def on(self, rows: Sequence[Row]) -> ComparisonSetup:
+        """Return what compares, once rows show whether the baseline's own policy has its bits here.
+
+        Where it has, its results are the baseline's. Where it has not, they are compared with the
+        baseline like those of any candidate: what changed is the machine or the version.
+
+        Args:
+            rows: of the candidate so far.
+        """
+        done = [row for row in rows if row.status == "ok"]
+        if self.basis != "same" or not done:
+            return self
+        if self.run.panel == "fresh":
+            return replace(self, basis="fresh", is_own=True)
+        again = recheck(done, self.run, self.bank)
+        if again.equal or again.differing:
+            return self
+        return replace(self, basis="panel", is_own=True)
+
+    @property
+    def goes_by_rounds(self) -> bool:
+        """Whether trials come round by round, one of each scene: the baseline's own policy's."""
+        return (self.run.is_recheck or self.run.goes_by_rounds) and self.run.drawn_from is not None
 
     @property
     def bank(self) -> BaselineResults:
@@ -100,7 +128,14 @@ class ComparisonSetup:
     def find(self, met: Met, *, alone: bool = False) -> Finding:
         """Return what trials show: `finding.find`."""
         return find(
-            met, self.judged, self.panel, self.basis, self.gate, claim=self.claim, alone=alone
+            met,
+            self.judged,
+            self.panel,
+            self.basis,
+            self.gate,
+            claim=self.claim,
+            by_rounds=self.goes_by_rounds,
+            alone=alone,
         )
 
 
@@ -158,7 +193,7 @@ def compare(
         IncomparableError: as `setup_of`, or the gate could never flag.
         StoreError: a row is not of this run, or appears twice.
     """
-    setup = setup_of(run, against, gate)
+    setup = setup_of(run, against, gate).on(rows)
     met = setup.met(rows)
     finding = setup.find(met, alone=power_forecast)
     basis, panel, strata = setup.basis, setup.panel, setup.strata
@@ -170,7 +205,7 @@ def compare(
         _scene(stratum, met, used, panel, gate, finding, parting.get(stratum)) for stratum in strata
     ]
     margins = margins_of(gate)
-    meets_starts = basis == "same" and run.panel == "pinned"
+    meets_starts = (basis == "same" or setup.is_own) and run.panel == "pinned"
     capped = over_the_cap(rows, met.left, gate)
     critical = sum(gate.tier(scene) == "critical" for scene, _ in setup.judged)
     alpha_pass = 1.0 - gate.confidence
@@ -204,10 +239,12 @@ def compare(
         reasons=(),
         left_aside=setup.left_aside,
         control=0 if met.control is None else sum(row is not None for row in met.control),
+        control_drop=_control_drop(setup, met, finding) if power_forecast else None,
+        is_own=setup.is_own,
         again=recheck(rows, run, setup.bank) if meets_starts else None,
     )
     curve = more = None
-    if power_forecast and basis != "same":
+    if power_forecast and basis != "same" and not setup.is_own:
         further = setup.met(rows, further=True)
         curve, more = _power_forecast(comparison, further, setup.judged, panel, gate)
     reasons = _in_words(comparison, finding)
@@ -217,6 +254,33 @@ def compare(
         more=None if capped else more,
         curve=curve,
     )
+
+
+def _control_drop(
+    setup: ComparisonSetup, met: Met, finding: Finding
+) -> tuple[float, Interval] | None:
+    """Return how much less the control scores than the baseline says; None without a control.
+
+    The control's trials are drawn as the candidate's, so that they are judged as a candidate's are:
+    by the baseline's results from these starts, or in these scenes where the starts are others.
+    """
+    places = [place for place in finding.used if place < finding.first]
+    if met.control is None or not places:
+        return None
+    alone = replace(met, rows=met.control, control=None, left=met.control_left)
+    bank = bank_of(setup.panel, setup.judged, "panel", "fresh")
+    basis: Basis = "fresh" if setup.run.panel == "fresh" else "panel"
+    trials = numbers_of(alone, setup.judged, setup.panel, basis, bank)
+    known = {place: index for index, place in enumerate(met.places(setup.judged).tolist())}
+    seen = trials.at([known[place] for place in places])
+    drops = bank.means[seen.scenes] - seen.candidate
+    if np.isnan(drops).all():
+        return None
+    alphas = {
+        "alpha_pass": 1.0 - setup.gate.confidence,
+        "alpha_regr": setup.gate.false_alarm / setup.gate.shared,
+    }
+    return float(np.nanmean(drops)), drop_interval_after(bank, seen, **alphas)
 
 
 def _scenes(setup: ComparisonSetup) -> set[str]:
@@ -314,6 +378,8 @@ def _in_words(found: Comparison, finding: Finding) -> tuple[str, ...]:
         over = "taken over from the baseline, " if again.taken_over else ""
         return (f"the same policy as the baseline {found.policy}: {over}{again.in_words}",)
     fallen, mean = _fallen(found), _mean(found)
+    if found.is_own and found.word == "REGRESSED":
+        mean = _moved(found)
     by_scenes_alone = found.word == "REGRESSED" and not found.mean_regressed
     return (
         *((*fallen, mean) if by_scenes_alone else (mean, *fallen)),
@@ -356,6 +422,21 @@ def _mean(found: Comparison) -> str:
         f"{drop}: undecided, the data fit a drop of {found.max_drop:g} and a drop below "
         f"{found.tolerate:g}"
     )
+
+
+def _moved(found: Comparison) -> str:
+    """Return what was found of a machine or version on which the baseline's policy scores less."""
+    assert found.drop is not None, "something was found"
+    span = "" if found.interval is None else f", {_range(found.interval)}"
+    return (
+        f"this machine or version scores {found.drop:.3f} less than the baseline {found.bank} says"
+        f"{span} ({plural(found.trials, 'trial')} of the same policy): nothing here says anything "
+        "of a candidate; find what changed, or save the baseline anew"
+    )
+
+
+def _range(drops: Interval) -> str:
+    return f"between {drops.low:z.3f} and {drops.high:z.3f}"
 
 
 def _fallen(found: Comparison) -> tuple[str, ...]:
@@ -420,6 +501,19 @@ def _limits(found: Comparison) -> Iterable[str]:
             f"{found.policy} ran beside the candidate from the same starts "
             f"({plural(found.control, 'trial')}), and is what it is compared with; a baseline "
             "saved here saves these trials"
+        )
+    if found.control_drop is not None:
+        drop, drops = found.control_drop
+        change = f"{drop:.3f} less" if drop >= 0.0 else f"{-drop:.3f} more"
+        yield (
+            f"{found.policy} itself scores {change} here than the baseline says; a change "
+            f"{_range(drops)} fits its trials"
+        )
+    if found.is_own and found.again is not None:
+        yield (
+            f"the policy is the baseline's own, and {found.again.in_words}: bits are others on "
+            "this machine or version, so that its trials were judged against the baseline's "
+            "results, as any candidate's are"
         )
     unmet = [item.name for item in found.scenes if item.counts and not item.trials]
     if found.word == "PASS" and unmet:

@@ -71,7 +71,7 @@ def with_scores(
     setup = None
     asked = any(one.max_drop is not None for one in gate.scores.values())
     if against is not None and verdict.against is not None and asked:
-        setup = setup_of(run, against, gate)
+        setup = setup_of(run, against, gate).on(rows)
     met = None if setup is None else setup.met(rows)
     found = tuple(
         _finding(spec, gate.scores.get(name), rows, verdict, gate, setup, met)

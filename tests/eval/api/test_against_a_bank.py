@@ -632,7 +632,8 @@ def test_on_a_class_of_machine_that_the_bank_has_not_seen_its_own_policy_runs_an
     assert not Path("run/baseline").exists(), "its own trials show what the bank is here"
     if not same_bits:
         told = headline(judged.verdict, judged.info)
-        assert "run again with different results, so none is taken from the baseline" in told
+        assert "baseline shipped (the same policy, other bits here) " in told
+        assert "judged against the baseline's results" in " ".join(judged.verdict.reasons)
 
 
 def test_the_same_bits_with_other_results_make_the_run_invalid(capsys):

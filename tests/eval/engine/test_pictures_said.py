@@ -4,6 +4,7 @@ import pytest
 
 from nw_base.files.shipped import available
 from nw_eval import api
+from nw_eval.engine.how import How
 from nw_eval.engine.provenance import run_info
 from nw_eval.reporting.tables.run import provenance_table
 from nw_gate.results.run_folder import RunFolder
@@ -45,6 +46,6 @@ def test_cameras_with_distortion_are_named_where_the_suite_says_ewa(
         "episode: {duration: 0.02}\nrecord: none\nscenes: [flat/carpet_room]\n"
     )
     folder = RunFolder(path=tmp_path / "run")
-    info = run_info(api.plan(suite), folder, workers=1, in_process=True, command=())
+    info = run_info(api.plan(suite), folder, How(in_process=True), workers=1)
     assert info.renderer == said
     assert ("renderer", said) in [tuple(row)[:2] for row in provenance_table(info).rows]

@@ -4,6 +4,7 @@ import pytest
 
 from nw_base.files.shipped import available
 from nw_eval import api
+from nw_eval.engine.how import How
 from nw_eval.engine.provenance import run_info, split_for
 from nw_gate.results.run_folder import RunFolder
 from nw_policies import load_bundle
@@ -54,7 +55,7 @@ def test_the_shipped_students_say_where_they_were_trained_and_no_digest_moves(tm
     )
     (tmp_path / "two.yaml").write_text(text)
     plan, folder = api.plan(tmp_path / "two.yaml"), RunFolder(path=tmp_path / "run")
-    info = run_info(plan, folder, workers=1, in_process=True, command=())
+    info = run_info(plan, folder, How(in_process=True), workers=1)
     assert {name: scene.split for name, scene in info.scenes.items()} == {
         "hurdles/one_low_carpet": "train",
         "hurdles/three_low": "eval",

@@ -165,31 +165,37 @@ def test_a_start_that_ran_again_otherwise_than_the_baseline_says_is_invalid_and_
     assert "baseline shipped is not what its own policy does" in headline(verdict, run)
 
 
-def test_where_bits_are_others_an_honest_baseline_is_not_invalid_and_nothing_is_taken_over(
+def test_where_bits_are_others_the_baseline_s_own_policy_is_compared_with_it_like_any_other(
     make_run, make_bank, drawn_rows, judged_by
 ):
     run, gate = of_the_baseline_itself(make_run, ran=0.25)
     bank = make_bank(run, dict.fromkeys("ab", [1.0] * 50 + [0.5] * 10))
-    changes = {
-        "engine": {**run.engine, "cpu": "haswell"},
-        "stop": StopInfo(first=16, trials={"a": 8, "b": 8}),
-    }
-    here = run.model_copy(update=changes)
-    rows = drawn_rows(here, dict.fromkeys("ab", [1.0] * 7 + [0.5]), first=16)
-    verdict = judged_by(bank, rows, here, gate)
-    assert (verdict.verdict, verdict.n) == ("PASS", 16)
-    assert "16 run again with different results, so none is taken from the baseline" in headline(
-        verdict, here
+    elsewhere = run.model_copy(update={"engine": {**run.engine, "cpu": "haswell"}})
+
+    def judged(scores: list[float], gate: Gate) -> Verdict:
+        stop = StopInfo(first=2 * len(scores), trials=dict.fromkeys("ab", len(scores)))
+        here = elsewhere.model_copy(update={"stop": stop})
+        rows = drawn_rows(here, dict.fromkeys("ab", scores), first=stop.first)
+        return judged_by(bank, rows, here, gate)
+
+    verdict = judged([1.0] * 17 + [0.5] * 3, gate)
+    assert (verdict.verdict, verdict.n) == ("PASS", 40)
+    found = verdict.against
+    assert found is not None
+    assert found.again is not None
+    assert (found.is_own, found.basis, found.again.taken_over) == (True, "panel", False)
+    assert found.trials % 2 == 0, "whole rounds alone are looked at"
+    assert "40 run again with different results" in " ".join(verdict.reasons)
+    assert "baseline shipped (the same policy, other bits here) 0.917" in headline(verdict, run)
+    # What would be REGRESSED says something of the machine, and nothing of the policy.
+    low = judged([0.5] * 20, Gate(success_rate=0.1))
+    assert (low.verdict, low.exit_code) == ("INVALID", 5)
+    assert low.reasons[0].startswith(
+        "this machine or version scores 0.417 less than the baseline shipped says, between 0.055 "
     )
-    assert verdict.against is not None
-    assert verdict.against.again is not None
-    assert not verdict.against.again.taken_over
-    # The bar is for what ran: the file's scores are of no use to a policy that fails here.
-    low = drawn_rows(here, dict.fromkeys("ab", 0.0), first=16)
-    assert judged_by(bank, low, here, gate).verdict == "REGRESSED"
-    half = drawn_rows(here, dict.fromkeys("ab", 0.5), first=16)
-    open_ = judged_by(bank, half, here, Gate(success_rate=0.5))
-    assert (open_.verdict, open_.exit_code) == ("INCONCLUSIVE", 3)
+    few = judged([1.0] * 2, Gate())
+    assert (few.verdict, few.exit_code) == ("INCONCLUSIVE", 3), "nothing passes for want of trials"
+    assert judged([0.0] * 20, Gate(success_rate=0.25)).verdict == "INVALID"
 
 
 def test_the_same_bits_with_another_result_are_invalid_on_every_class_of_machine(

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +16,8 @@ import pytest
 
 from nw_eval import api
 from nw_eval.api.contest import Contest
-from nw_eval.engine.listener import NullListener
+from nw_eval.engine.how import How
+from nw_eval.engine.machine import Interrupts
 from nw_eval.engine.provenance import run_info
 from nw_gate.absolute import word_of_bar
 from nw_gate.baseline.combine import judge_run
@@ -62,7 +64,7 @@ def plain(tmp_path_factory):
 
 def info_of(plan: Plan) -> RunInfo:
     folder = RunFolder(path=Path("run").resolve())
-    return run_info(plan, folder, workers=2, in_process=False, command=())
+    return run_info(plan, folder, How(), workers=2)
 
 
 class Course:
@@ -76,17 +78,9 @@ class Course:
         self.gate = plan.suite.gate
 
     def contest(self, *, all_rounds: bool = False) -> Contest:
-        contest = Contest(
-            self.plan,
-            self.against,
-            workers=2,
-            cluster=None,
-            command=(),
-            listener=NullListener(),
-            cache=False,
-            all_rounds=all_rounds,
-        )
-        contest.begin(RunFolder(path=Path("run").resolve()), self.run)
+        how = How(workers=2, cache=False, all_rounds=all_rounds)
+        contest = Contest(self.plan, self.against, how)
+        contest.begin(SimpleNamespace(info=self.run), Interrupts())
         return contest
 
     def by_one(self) -> RunStanding:

@@ -163,6 +163,9 @@ class TrialRules:
     alpha_regr: float = 0.01
     """Probability, at most, that a drop of `tolerate` or less is flagged by the mean; and, at
     most, that any scene is named where none dropped by more than scene_drop."""
+    look_every: int = 1
+    """Trials between two looks at the mean. Where trials come round by round, one of each scene in
+    a fixed order of scenes, it is their number: E is an e-value after whole rounds alone."""
 
     def __post_init__(self) -> None:
         for alpha in (self.alpha_pass, self.alpha_regr):
@@ -308,11 +311,12 @@ def _rule(
 def _reached(scenes: Places, every: Looks, rules: TrialRules) -> tuple[Truths, Truths]:
     """Return where evidence flags, and where that on the mean passes; of the shape of scenes."""
     count = scenes.shape[-1]
-    flags = every.regressed[..., :count] >= 1.0 / rules.alpha_regr
+    looked = np.arange(1, count + 1) % rules.look_every == 0
+    flags = looked & (every.regressed[..., :count] >= 1.0 / rules.alpha_regr)
     if critical := rules.critical:
         alone = every.own[..., :count] >= rules.names_at
         flags |= alone & np.isin(scenes, list(critical))
-    return flags, every.passed[..., :count] >= 1.0 / rules.alpha_pass
+    return flags, looked & (every.passed[..., :count] >= 1.0 / rules.alpha_pass)
 
 
 class _Scenes:

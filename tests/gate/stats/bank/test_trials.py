@@ -376,3 +376,25 @@ def test_a_ruling_counts_the_trials_of_both_its_parts():
         word="PASS", mean=37, followed=(40, 90), named=(), waits_for=(), ahead=()
     )
     assert decision.trials == 39
+
+
+@pytest.mark.parametrize(("where", "drop", "wrong"), [(-4, 0.10, "PASS"), (0, 0.02, "REGRESSED")])
+def test_rounds_with_a_fixed_order_of_scenes_are_judged_when_they_are_whole(where, drop, wrong):
+    # All of the drop is in four scenes of sixteen, the last or the first of every round.
+    rng, scenes, rounds, gates = np.random.default_rng(5), 16, 20, 2000
+    level = np.full(scenes, 0.95)
+    worse = np.zeros(scenes)
+    worse[where : where + 4 or None] = drop * scenes / 4
+    drawn = (rng.random((gates, rounds, scenes)) < level - worse).astype(float)
+    which = np.tile(np.arange(scenes), (gates, rounds))
+    trials = DrawnTrials(
+        scenes=which, candidate=drawn.reshape(gates, -1), baseline=np.full(which.shape, 0.95)
+    )
+    bank, share = Bank.of(np.tile(level[:, None], (1, 60))).fresh(), {}
+    for every in (1, scenes):
+        rules = TrialRules(tiers=("supporting",) * scenes, look_every=every)
+        words = [decision.word for decision in settle_all(bank, trials, rules)]
+        share[every] = words.count(wrong) / gates
+    nominal = {"PASS": 0.05, "REGRESSED": 0.01}[wrong]
+    assert share[scenes] <= nominal + 3 * (nominal * (1 - nominal) / gates) ** 0.5
+    assert share[1] > share[scenes], "within a round the order of scenes decides"
