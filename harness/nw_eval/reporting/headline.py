@@ -117,6 +117,8 @@ def _against(found: Comparison | None, *, intervals: bool) -> list[str]:
     if found.drop is None or found.interval is None:
         if found.again is not None and found.again.differing:
             return [f"baseline {found.bank} is not what its own policy does"]
+        if found.is_own:
+            return [f"baseline {found.bank} is the same policy, with other bits here"]
         same = "is the same policy" if found.basis == "same" else f"scores {found.baseline:.3f}"
         return [f"baseline {found.bank} {same}", *_again(found.again)]
     beside = " (run beside)" if found.basis == "control" else ""

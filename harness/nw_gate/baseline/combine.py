@@ -90,9 +90,26 @@ def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | N
         planned = Counter(row.scene for row in rows)
         by_bar = partial(judge, left_out=run.left_out)
     verdict = combined(by_bar(rows, gate, planned, against=found), found)
-    if found.is_own and found.word == "REGRESSED" and verdict.verdict == "REGRESSED":
+    return _of_machine(verdict, found, gate) if found.is_own else verdict
+
+
+def _of_machine(verdict: Verdict, found: Comparison, gate: Gate) -> Verdict:
+    """Return the verdict on a baseline's own policy with other bits: no REGRESSED but INVALID.
+
+    The policy is the same, so that a drop is the machine's or the version's. It stays REGRESSED
+    where the baseline says itself that the policy is below the bar.
+    """
+    if verdict.verdict != "REGRESSED":
+        return verdict
+    if found.word == "REGRESSED":
         return replace(verdict, verdict="INVALID")
-    return verdict
+    if gate.success_rate is not None and found.baseline < gate.success_rate:
+        return verdict
+    why = (
+        f"the baseline {found.bank} says {found.baseline:.3f} of the same policy: this machine or "
+        "version changed, and not the policy"
+    )
+    return replace(verdict, verdict="INVALID", reasons=(why, *verdict.reasons))
 
 
 def _mend(run: RunInfo, against: Against) -> str:

@@ -511,9 +511,9 @@ def _limits(found: Comparison) -> Iterable[str]:
         )
     if found.is_own and found.again is not None:
         yield (
-            f"the policy is the baseline's own, and {found.again.in_words}: bits are others on "
-            "this machine or version, so that its trials were judged against the baseline's "
-            "results, as any candidate's are"
+            "the candidate is the baseline's own policy and gives other bits on this machine or "
+            f"version ({found.again.ran} run again): its trials were judged against "
+            "the baseline's results, like those of any candidate"
         )
     unmet = [item.name for item in found.scenes if item.counts and not item.trials]
     if found.word == "PASS" and unmet:
