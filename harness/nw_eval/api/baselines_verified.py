@@ -70,11 +70,13 @@ def verify_baseline(
     Nothing is reused from the cache of trials, and nothing is written into the project.
 
     Args:
-        baseline: its name, `<suite>/<name>`, or its path.
-        trials: how many, or the share of all its starts, such as `10%`, at least one; 10 % if None.
-        seed: draws them, an int; one that cannot be predicted if None.
-        suite: the suite's file; the suite of the baseline's own by name if None.
-        policy: where its policy lies; where the baseline says if None.
+        baseline: a name, `<suite>/<name>`, or a path.
+        trials: how many of all its starts, or which share, such as `10%`, at least one; 10% if
+            None.
+        seed: draw the starts of an earlier verification again, by the seed that it told; by one
+            that cannot be predicted if None.
+        suite: the suite's file, where its name does not find it.
+        policy: where the baseline's policy lies, if not where the baseline says.
         workers: processes; one for each core if None.
         listener: hears of progress.
         changes: of `Request`: checkpoint, render, time_limit, memory_limit, allow_code.
