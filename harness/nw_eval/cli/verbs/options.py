@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import tyro
 
@@ -21,14 +22,13 @@ from nw_base.words import PanelKind
 from nw_gate.results.request import Request
 
 # One idea has one option, and one help, in all verbs that have it.
-Suite = tyro.conf.Positional[
-    Annotated[
-        str,
-        tyro.conf.arg(
-            help="A suite file, or the name of a shipped suite (`nw-eval suites` lists them)."
-        ),
-    ]
+_Suite = Annotated[
+    str,
+    tyro.conf.arg(
+        help="A suite file, or the name of a shipped suite (`nw-eval suites` lists them)."
+    ),
 ]
+Suite = tyro.conf.Positional[_Suite]
 Workers = Annotated[
     int | None,
     tyro.conf.arg(aliases=["-j"], help="Worker processes; the number of cores when absent."),
@@ -45,6 +45,17 @@ Checkpoint = Annotated[
 ]
 AllowCode = Annotated[bool, tyro.conf.arg(help="Let the policy's card import Python code.")]
 NoCache = Annotated[bool, tyro.conf.arg(help="Run every trial, and keep no result for later runs.")]
+SHARED: Mapping[str, Any] = MappingProxyType(
+    {
+        "suite": _Suite,
+        "workers": Workers,
+        "scenes": Scenes,
+        "checkpoint": Checkpoint,
+        "allow_code": AllowCode,
+        "no_cache": NoCache,
+    }
+)
+"""These by their names, for verbs that are made of a function."""
 
 if TYPE_CHECKING:
     from nw_base.words import Tracker
