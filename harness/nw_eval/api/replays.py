@@ -123,7 +123,7 @@ def log_scores(
     Args:
         log: a trial's MCAP file, or one with joint states and commands of a robot, or a bag's
             folder.
-        scores: which scores; all if none is named.
+        scores: which scores; all, the task's own among them, if none is named.
         robot: whose log it is, if it is not that of a run.
         topics: of a robot's log: `joints=NAME`, `targets=NAME`, `pose=NAME`, `command=NAME`, in
             place of those that are found by what their messages are.

@@ -139,8 +139,8 @@ def watch(
 
     Each meets all trials of the suite, and is judged by the suite's bar and against the best
     checkpoint before it: the one with the largest mean success, where that is above the gate's
-    `max_drop`. A checkpoint whose bytes change
-    under its name is another one. Page and table are written after each.
+    `max_drop`. Checkpoints have one of `SUFFIXES`. One whose bytes change under its name is another
+    one. Page and table are written after each.
 
     Args:
         folder: the folder that a training writes to. Its checkpoints are files below it with a

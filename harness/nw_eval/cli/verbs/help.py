@@ -7,7 +7,7 @@ import inspect
 import shutil
 import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -98,7 +98,7 @@ def _metavar(kind: Any, name: str, is_argument: bool) -> str:
 def told_of(form: type) -> dict[str, str]:
     """Return the docstrings of the fields of a class."""
     told: dict[str, str] = {}
-    for base in reversed(form.__mro__[:-1]):
+    for base in (each for each in reversed(form.__mro__) if is_dataclass(each) and fields(each)):
         [defined] = ast.parse(textwrap.dedent(inspect.getsource(base))).body
         assert isinstance(defined, ast.ClassDef)
         for field, text in pairwise(defined.body):

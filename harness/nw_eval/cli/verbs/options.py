@@ -7,55 +7,18 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from io import StringIO
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 import tyro
 
 from nw_base.errors import NwEvalError, UsageError
 from nw_base.words import PanelKind
 from nw_gate.results.request import Request
-
-# One idea has one option, and one help, in all verbs that have it.
-_Suite = Annotated[
-    str,
-    tyro.conf.arg(
-        help="A suite file, or the name of a shipped suite (`nw-eval suites` lists them)."
-    ),
-]
-Suite = tyro.conf.Positional[_Suite]
-Workers = Annotated[
-    int | None,
-    tyro.conf.arg(aliases=["-j"], help="Worker processes; the number of cores when absent."),
-]
-Scenes = Annotated[
-    tuple[str, ...] | None,
-    tyro.conf.arg(
-        metavar="GLOB ...",
-        help="Only scenes that match one of these globs, or are of `split:train` or `split:eval`.",
-    ),
-]
-Checkpoint = Annotated[
-    Path | None, tyro.conf.arg(help="Weights to use in place of those that the card names.")
-]
-AllowCode = Annotated[bool, tyro.conf.arg(help="Let the policy's card import Python code.")]
-NoCache = Annotated[bool, tyro.conf.arg(help="Run every trial, and keep no result for later runs.")]
-SHARED: Mapping[str, Any] = MappingProxyType(
-    {
-        "suite": _Suite,
-        "workers": Workers,
-        "scenes": Scenes,
-        "checkpoint": Checkpoint,
-        "allow_code": AllowCode,
-        "no_cache": NoCache,
-    }
-)
-"""These by their names, for verbs that are made of a function."""
 
 if TYPE_CHECKING:
     from nw_base.words import Tracker

@@ -45,8 +45,7 @@ from nw_eval import api
 from nw_eval.cli.terminal.interruption import INTERRUPTED
 from nw_eval.cli.terminal.last_words import tell
 from nw_eval.cli.verbs.help import told_of
-from nw_eval.cli.verbs.options import SHARED
-from nw_gate.results.request import Request
+from nw_eval.cli.verbs.shared import SHARED
 
 V = TypeVar("V", bound="Verb")
 
@@ -198,21 +197,20 @@ def _options(
         for name, each in inspect.signature(known).parameters.items()
         if each.kind is not each.VAR_KEYWORD and name not in {*_HOW, *without}
     }
-    hints = _hints_of(known, [name for name in asked if name not in changes])
-    told = _sentences(known)
+    own, told = [name for name in asked if name not in changes], _sentences(known)
+    if unsaid := next((name for name in own if name not in told), None):
+        raise LookupError(
+            f"nw_eval.api.{known.__name__}: nothing is said of {unsaid!r} in `Args:`, and an "
+            "option needs a help; write a sentence there, or leave it out with `without`"
+        )
+    hints = _hints_of(known, own)
     for name, each in asked.items():
         is_placed = each.kind is each.POSITIONAL_OR_KEYWORD
         if name in changes:
             yield _shared(name)._replace(is_placed=is_placed)
-        elif name not in told:
-            raise LookupError(
-                f"nw_eval.api.{known.__name__}: nothing is said of {name!r} in `Args:`, and an "
-                "option needs a help; write a sentence there, or leave it out with `without`"
-            )
         else:
-            yield _Option(
-                name, _plain(hints[name]), each.default, _arg(name, told[name]), is_placed
-            )
+            arg = _arg(name, told[name])
+            yield _Option(name, _plain(hints[name]), each.default, arg, is_placed)
     yield from (_shared(name) for name in changes if name not in asked)
 
 
@@ -222,6 +220,8 @@ def _shared(name: str) -> _Option:
         hint, arg = get_args(SHARED[name])
         default = {bool: False, str: inspect.Parameter.empty}.get(hint)
         return _Option(name, hint, default, arg)
+    from nw_gate.results.request import Request
+
     hint, told = _hints_of(Request, [name])[name], told_of(Request)[name]
     default = Request.__dataclass_fields__[name].default
     return _Option(name, _plain(hint), default, _arg(name, " ".join(told.split())))
