@@ -73,8 +73,8 @@ def verify_baseline(
         baseline: a name, `<suite>/<name>`, or a path.
         trials: how many of all its starts, or which share, such as `10%`, at least one; 10% if
             None.
-        seed: draw the starts of an earlier verification again, by the seed that it told; by one
-            that cannot be predicted if None.
+        seed: the seed that an earlier verification told, to draw its starts again; one that cannot
+            be predicted if None.
         suite: the suite's file, where its name does not find it.
         policy: where the baseline's policy lies, if not where the baseline says.
         workers: processes; one for each core if None.

@@ -72,8 +72,8 @@ def splat_render(
         up: upward axis of a file; built-in scenes have +z.
         eye: where the camera stands, and a turn looks round from, in the file's own frame or the
             scene's world; chosen if None.
-        target: what a PNG's camera looks at from an eye that is given; the middle of a file, or
-            straight ahead in a scene, if None.
+        target: what a PNG's camera looks at, for which an eye must be given, too; the middle of a
+            file, or straight ahead in a scene, if None.
         frames: frames of a turn: around a file, or round a scene's course within its walls.
         backend: the renderer. There is no silent fallback.
         projection: how Gaussians become pixels: each along the pixel's own ray, or by EWA as gsplat

@@ -79,8 +79,8 @@ def verify(
         offline: look at its files only, and run nothing.
         trials: run again so many of the trials that have a result, or such a share of them, at
             least one; 5% by default.
-        seed: draw the trials of an earlier verification again, by the seed that it told; by one
-            that cannot be predicted if None.
+        seed: the seed that an earlier verification told, to draw its trials again; one that cannot
+            be predicted if None.
         root: the Merkle root that the run ended with, if you have kept it elsewhere.
         policy: the bundle that made it, where it has moved since, or is served elsewhere.
         checkpoint: the weights that were used in place of the card's, where they have moved since.
