@@ -132,7 +132,7 @@ MOST = {
         ),
     ),
     "nw_eval": Figures(
-        32406,
+        32181,
         152,
         ("nw_learn", "nw_twin"),
     ),

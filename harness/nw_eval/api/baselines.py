@@ -62,7 +62,7 @@ def show_baseline(baseline: str | Path, *, suite: str | None = None) -> ShownBas
     """Read one baseline.
 
     Args:
-        baseline: its name, `<suite>/<name>` as `list_baselines` has them, or its path.
+        baseline: a name, `<suite>/<name>`, or a path.
         suite: the suite's name, where several have a baseline of that name.
 
     Raises:
@@ -82,9 +82,9 @@ def diff_baselines(
     """Compare two banks: what they hold for, and what happened from their starts, by scene.
 
     Args:
-        then: the earlier one; as for `show_baseline`.
+        then: the earlier one: a name, `<suite>/<name>`, or a path.
         now: the later one.
-        suite: as for `show_baseline`.
+        suite: the suite's name, where several have a baseline of such a name.
 
     Raises:
         UsageError, StoreError, IncomparableError: as `show_baseline`.
@@ -249,9 +249,9 @@ def check_baseline(
     """Compare what a baseline holds for with what is here: suite, scenes, simulator, policy.
 
     Args:
-        baseline: its name, `<suite>/<name>`, or its path.
-        suite: the suite's file; the suite of the baseline's own by name if None.
-        policy: where the baseline's policy lies; where the baseline says if None.
+        baseline: a name, `<suite>/<name>`, or a path.
+        suite: the suite's file, where its name does not find it.
+        policy: where the baseline's policy lies, if not where the baseline says.
         changes: of `Request`: checkpoint, render, allow_code.
 
     Raises:

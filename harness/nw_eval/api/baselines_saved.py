@@ -65,12 +65,12 @@ def save_baseline(
 
     Args:
         suite: a suite file or the name of a shipped one.
-        policy: as for `run`; the suite's own if None.
-        trials: in each scene; if None, as many as the baseline has, and 60 for a new one.
-        name: the baseline's; the policy's if None.
+        policy: a shipped bundle's name, a bundle's folder, or a card; the suite's own if None.
+        trials: trials in each scene; as many as the baseline has, and 60 for a new one, if None.
+        name: the baseline's name; the policy's if None.
         note: why it is saved; if empty, as before.
-        run: the folder of a run to take the results from; nothing is run.
-        renew: whether a baseline that is there is replaced, with the results of all machines.
+        run: the folder of a finished run to save as a baseline; nothing is run.
+        renew: replace the baseline that is there, with its results of all classes of machine.
         root: the folder of baselines; `reports/baselines` if None.
         changes: of `Request`: checkpoint, render, time_limit, memory_limit, allow_code; of `How`:
             workers, cache, listener.

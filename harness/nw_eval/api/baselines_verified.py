@@ -67,11 +67,13 @@ def verify_baseline(
     Nothing is reused from the cache of trials, and nothing is written into the project.
 
     Args:
-        baseline: its name, `<suite>/<name>`, or its path.
-        trials: how many, or the share of all its starts, such as `10%`, at least one; 10 % if None.
-        seed: draws them, an int; one that cannot be predicted if None.
-        suite: the suite's file; the suite of the baseline's own by name if None.
-        policy: where its policy lies; where the baseline says if None.
+        baseline: a name, `<suite>/<name>`, or a path.
+        trials: how many of all its starts, or which share, such as `10%`, at least one; 10% if
+            None.
+        seed: the seed that an earlier verification told, to draw its starts again; one that cannot
+            be predicted if None.
+        suite: the suite's file, where its name does not find it.
+        policy: where the baseline's policy lies, if not where the baseline says.
         changes: of `Request`: checkpoint, render, time_limit, memory_limit, allow_code; of `How`:
             workers, listener.
 

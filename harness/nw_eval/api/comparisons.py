@@ -32,11 +32,11 @@ def compare(
     They are compared on the starts that all have a result from. Nothing is judged.
 
     Args:
-        runs: folders of runs, and banks by path or, beside a run, by name. Where policies part is
-            where each parts from the first one.
+        runs: folders of runs, and baselines by path or, beside a run, by name; each is compared
+            with the first by waypoints.
         out: a Markdown page to write.
         picture: a PNG of all scenes and policies to write.
-        confidence: of each interval alone; of all ranks together.
+        confidence: of each interval alone, and of all ranks together.
 
     Raises:
         UsageError: there are fewer than two, one is neither a run nor a baseline, or the confidence
@@ -134,15 +134,15 @@ def sim2real(
 ) -> Agreement:
     """Say how well the simulator ranks policies as the robot does.
 
+    A policy of the CSV is named as in its run, or by the name of its run's folder or its baseline.
+
     Args:
-        real: a CSV with the columns policy, scene, trials and success (0 to 1). A policy is named
-            as in its run, or by the name of its run's folder or its baseline.
-        runs: folders of runs, and banks by path or, beside a run, by name; others than the CSV's
+        real: a CSV with the columns policy, scene, trials, success (0 to 1).
+        runs: folders of runs, and baselines by path or, beside a run, by name; those of other
             policies may be among them.
         confidence: of each interval.
-        score: in place of success, one that all runs were measured by: the CSV has a column of its
-            name, in its unit. Figures are of values within its range, 1 the best; gaps are in its
-            unit.
+        score: a score of the runs in place of success; the CSV has a column of its name, in its
+            unit. Figures are of values within its range, 1 the best; gaps are in its unit.
 
     Raises:
         UsageError: the CSV is none, or names a policy or scene that no run has; there is no run;

@@ -58,7 +58,7 @@ def fetch_policy(reference: str, *, listener: FetchListener | None = None) -> Fe
     Nothing of it is run, and its code never without `allow_code`.
 
     Args:
-        reference: `hub:org/name[@revision]`.
+        reference: `hub:org/name`, or `hub:org/name@revision`.
         listener: hears how far it is.
 
     Raises:
@@ -78,9 +78,10 @@ def fetch_policy(reference: str, *, listener: FetchListener | None = None) -> Fe
 def fetch_robot(reference: str, *, listener: FetchListener | None = None) -> Fetched:
     """Return a robot as its hub, or MuJoCo Menagerie, has it now, fetched as far as it is not here.
 
+    Of Menagerie it is the revision that the installed package `mujoco-menagerie` has.
+
     Args:
-        reference: `hub:org/name[@revision]`, or `menagerie:NAME`: the revision that the installed
-            package `mujoco-menagerie` has.
+        reference: `hub:org/name`, `hub:org/name@revision`, or `menagerie:NAME`.
         listener: hears how far it is.
 
     Raises:
@@ -101,11 +102,13 @@ def fetch_robot(reference: str, *, listener: FetchListener | None = None) -> Fet
 def push_scene(folder: Path, to: str, *, private: bool = False) -> PushedScene:
     """Put a scene folder into a repository of a hub, in one commit, and return where it lies.
 
+    The files that the scene is made of are pushed, and README and licence if they lie beside it;
+    others are not.
+
     Args:
-        folder: with a `scene.yaml`. The files that it is made of are pushed, and README and
-            licence if they lie beside it; others are not.
+        folder: the folder, with its scene.yaml.
         to: `hub:org/name`; the repository is made if it is not there.
-        private: whether a repository that is made is for its owner alone.
+        private: make a repository that only its owner sees.
 
     Raises:
         SceneError: it is no scene folder, or its health check finds errors; or the hub does not

@@ -51,9 +51,9 @@ def read_ledger(file: str | Path, *, head: str | None = None) -> LedgerReport:
     """Reckon up a ledger: gates a year, false alarms, re-rolls, and the best of many.
 
     Args:
-        file: of the ledger.
-        head: the `head` of an earlier report, kept elsewhere: a line that the ledger must still
-            have.
+        file: the ledger.
+        head: the head of an earlier report, kept elsewhere. A ledger without that line is refused:
+            its end was cut off, or it was written anew.
 
     Raises:
         StoreError: it is missing or damaged, or its end was cut off.

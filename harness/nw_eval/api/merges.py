@@ -27,11 +27,14 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
     named twice, in any order, and one that was merged before may be among them: the rows are the
     same, byte for byte.
 
+    `out` is there whole or not at all. Where it holds these rows already, they are only judged
+    again.
+
     Args:
-        runs: the folders of all parts.
-        out: the folder of the merged run, which is there whole or not at all. Where it holds these
-            rows already, they are only judged again.
-        baseline: as for `judge`.
+        runs: the folders of all parts, in any order.
+        out: the folder of the merged run.
+        baseline: the baseline to compare with: its name, its file, or `none`; if None that which
+            the parts were begun against, or else the one that the suite names for its own policy.
 
     Raises:
         UsageError: there is nothing to merge, one is no run's folder or that of a whole run, there

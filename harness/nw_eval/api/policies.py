@@ -63,8 +63,8 @@ def show_policy(
     """Return what a card says: each term, each joint, whatever is not by default, its files.
 
     Args:
-        policy: a bundle's name, folder or card.
-        robot: the folder of the robot that the card names; None = it is found by its name.
+        policy: a shipped bundle's name, a bundle's folder, a card, or `hub:org/name`.
+        robot: the folder of the robot that the card names; it is found by its name if None.
         checkpoint: weights to use with the card.
         allow_code: whether Python code that the card names may be imported.
 
@@ -118,10 +118,10 @@ def check_policy(
     A policy that follows a velocity command is also commanded ahead, sideways and in turns.
 
     Args:
-        policy: a bundle's name, folder or card.
-        robot: the folder of the robot that the card names; None = it is found by its name.
+        policy: a shipped bundle's name, a bundle's folder, a card, or `hub:org/name`.
+        robot: the folder of the robot that the card names; it is found by its name if None.
         checkpoint: weights to use with the card.
-        scene: where; a flat room if None, the only place where commands are tried too.
+        scene: where; a flat room if None, the only place where commands are tried, too.
         allow_code: whether Python code that the card names may be imported.
 
     Raises:
@@ -152,10 +152,14 @@ def init_policy(
     size that it may have, in a confined process.
 
     Args:
-        checkpoint: any format that an adapter reads; of a folder the newest step is taken.
-        robot: which robot the policy drives: a name, or the path of a folder.
-        out: the card to write; `policy.yaml` beside the checkpoint, or in the folder, if None.
-        layout: name of the published layout that it is to have; the likeliest if None.
+        checkpoint: an ONNX, TorchScript, torch.export, safetensors or state-dict file, or what a
+            training saves: rsl_rl, skrl, rl_games, CleanRL, Stable-Baselines3, brax or flax. Of a
+            folder, such as a training's, the newest step is taken.
+        robot: the robot that the policy drives: a name such as go1, or the path of a folder.
+        out: the card to write, a file and no folder; `policy.yaml` beside the checkpoint or in its
+            folder if None.
+        layout: the published layout of what the policy sees, such as isaac-lab; the likeliest if
+            None. The card names those that fit.
 
     Raises:
         PolicyError: the file cannot be read, could run code, holds an unknown network, does not fit
@@ -237,8 +241,8 @@ def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
     """Write a checkpoint of several files as one file, without running it.
 
     Args:
-        checkpoint: an ONNX graph whose weights lie in files beside it; or the folder of a step that
-            Orbax saved, which becomes a safetensors file.
+        checkpoint: an ONNX file whose weights lie in a second file beside it, or the folder of a
+            step that Orbax saved, which becomes a safetensors file.
         out: the file to write.
 
     Raises:
@@ -282,10 +286,10 @@ def serve_policy(
     """Serve a policy over a websocket, for `adapter: remote`, while the context lasts.
 
     Args:
-        policy: a bundle's name, folder or card.
+        policy: a shipped bundle's name, a bundle's folder, a card, or `hub:org/name`.
         checkpoint: weights to use with the card.
         host: address to listen on; whoever reaches it can use the policy.
-        port: 0 for a free one.
+        port: port to listen on; 0 chooses a free one.
         allow_code: whether Python code that the card names may be imported.
         confined: raise the fence round this process, for good; for one that does nothing else.
 

@@ -121,12 +121,13 @@ def log_scores(
     A robot's log, MCAP or the MCAP file of a ROS 2 bag, gives the scores that its topics allow.
 
     Args:
-        log: the MCAP file, or the folder of a bag with one.
-        scores: their names; empty = all, the task's own among them.
-        robot: whose log it is; of a run's, the log says it.
+        log: a trial's MCAP file, or one with joint states and commands of a robot, or a bag's
+            folder.
+        scores: which scores; all, the task's own among them, if none is named.
+        robot: whose log it is, if it is not that of a run.
         topics: of a robot's log: `joints=NAME`, `targets=NAME`, `pose=NAME`, `command=NAME`, in
             place of those that are found by what their messages are.
-        allow_code: whether Python functions of the run's suite, which its log holds, may run.
+        allow_code: let scores that are Python functions of the run's suite run; its log holds them.
 
     Raises:
         CodeError: such a function is asked for, and may not run.

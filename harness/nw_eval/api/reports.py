@@ -231,12 +231,13 @@ def judge(
     """Judge the rows that a run has, by its suite's bar and against a baseline.
 
     Args:
-        run: the run's folder; it may go on, or have been interrupted.
-        baseline: the baseline's name, its file, or `none`; if None, that which the run was begun
-            against, or else the one that its suite names for its own policy.
-        max_drop: in place of the suite's.
-        tolerate: in place of the suite's.
-        out: where to write the report, as in `report`; nowhere if None.
+        run: the folder of a run, which may go on, or have been interrupted.
+        baseline: the baseline to compare with: its name, its file, or `none`; if None that which
+            the run was begun against, or else the one that its suite names for its own policy.
+        max_drop: drop of mean success against the baseline that must not pass; the suite's own if
+            None.
+        tolerate: drop against the baseline that must not be REGRESSED; the suite's own if None.
+        out: where to write the report in Markdown, with a page in HTML beside it; nowhere if None.
 
     Raises:
         UsageError: it is no run's folder or that of a part of a run, there is no such baseline, or

@@ -77,7 +77,7 @@ def show_robot(robot: str) -> RobotSummary:
     """Return all that is known of a robot, and which line says what.
 
     Args:
-        robot: a name, or the path of a folder.
+        robot: a name, or the path of a folder with a robot.yaml.
 
     Raises:
         UsageError: there is no such robot.
@@ -95,8 +95,9 @@ def init_robot(model: Path, *, out: Path | None = None) -> RobotDraft:
     It is written beside the model, or into the folder above that holds model and meshes.
 
     Args:
-        model: MJCF or URDF.
-        out: a new folder, into which model and meshes are copied.
+        model: MJCF (.xml) or URDF (.urdf).
+        out: a new folder to copy model and meshes into, and to write robot.yaml into; folders above
+            it are made.
 
     Raises:
         RobotError: the model is no robot that can be driven.
@@ -145,8 +146,8 @@ def check_robot(robot: str, *, out: Path | None = None) -> CheckedRobot:
     """Stand a robot on level ground for 2 s in its pose, with its gains, in a confined process.
 
     Args:
-        robot: a name, or the path of a folder.
-        out: a PNG of it, from outside and from its eye; None = none is written.
+        robot: a name, or the path of a folder with a robot.yaml.
+        out: the PNG to write, if any: the robot from outside and from its eye.
 
     Raises:
         UsageError: there is no such robot.

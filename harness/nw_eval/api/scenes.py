@@ -68,8 +68,8 @@ def list_scenes(
     """Return the scenes that match one of some globs; all built-in ones without any.
 
     Args:
-        patterns: names or globs.
-        robot: whose legs the steps and gaps of each scene are compared with; None = none.
+        patterns: names or globs; every built-in scene without any.
+        robot: say what the steps and gaps of each scene ask of this robot's legs.
 
     Raises:
         SceneError: a pattern matches nothing.
@@ -101,8 +101,9 @@ def show_scene(reference: str, *, out: Path | None = None) -> SceneFigures:
     """Return a scene's figures, and draw it from above if asked.
 
     Args:
-        reference: a built-in name, a scene folder, or `neverwhere:<folder>`.
-        out: the PNG of the view from above; None = none is drawn.
+        reference: a built-in name, a scene folder, `neverwhere:<folder or published name>`, or
+            `hub:org/name`.
+        out: a PNG of the view from above; none is drawn if None.
 
     Raises:
         SceneError: there is no such scene, or it cannot be read.
@@ -128,10 +129,10 @@ def check_scenes(
     """Return what is wrong with scenes; one that cannot be read is a finding, too.
 
     Args:
-        references: built-in names, scene folders, `neverwhere:` and `hub:` as suites have them.
-        robot: whose stance, camera and length count.
-        out: a file to write, a suite of these scenes that is ready to run, unless one of them
-            has errors; None = none is written.
+        references: built-in names, scene folders, `neverwhere:<folder or published name>`, or
+            `hub:org/name`.
+        robot: whose feet, camera and length count.
+        out: write a suite of them to this file, ready to run, unless one of them has errors.
         policy: of that suite; one that nw-eval has a card of for the robot if None.
 
     Raises:
@@ -179,9 +180,9 @@ def render_scenes(
     """Draw scenes from the robot's eye and from outside into one PNG, and return its path.
 
     Args:
-        patterns: names or globs; all built-in scenes without any.
-        out: the PNG.
-        width: of each view, pixels.
+        patterns: names or globs; every built-in scene without any.
+        out: the PNG to write.
+        width: pixels across each view.
         listener: hears how far splats have been built.
 
     Raises:
@@ -203,6 +204,10 @@ def render_scenes(
 
 def warmup(scenes: Sequence[str] = (), *, listener: Listener | None = None) -> WarmUp:
     """Compile the kernels into the cache, and build the splats of scenes ahead.
+
+    Args:
+        scenes: names or globs of scenes to build as well.
+        listener: hears how far splats have been built.
 
     Raises:
         SceneError: a pattern matches nothing, or a splat cannot be made.

@@ -13,7 +13,7 @@ def schema(kind: Described, *, out: Path | None = None) -> dict[str, Any]:
     """Return the JSON Schema of suites, cards, `scene.yaml`, or a scene's file of boxes.
 
     Args:
-        kind: of the files that it describes.
+        kind: which kind of file: a suite, a policy's card, scene.yaml, or a scene's file of boxes.
         out: where to write it as JSON as well; None = nowhere.
 
     Raises:

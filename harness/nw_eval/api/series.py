@@ -70,19 +70,20 @@ def bisect(
     does it, by success and by each of `gate.scores` that has a `max_drop`. The suite's bars are
     left out, since all of a series may lie on one side of one.
 
+    Checkpoints are files of weights for the card of `policy`, or bundles; or the folder of a
+    training, which stands for its checkpoints in order of their steps, after `good` and before
+    `bad` where these are among them.
+
     Args:
         suite: a suite file or the name of a shipped one.
-        checkpoints: the series in order of age: files of weights for the card of `policy`, or
-            bundles; the folder of a training stands for its checkpoints in order of their steps,
-            after `good` and before `bad` where these are among them.
-        good: a baseline; or a checkpoint that is older than the series, of which one is saved
-            first.
-        bad: the checkpoint that is known to be worse, younger than the series.
-        policy: whose card the weights are for; the suite's own if None.
-        everyone: judge all of them in place of searching.
-        baseline_trials: in each scene, of a baseline that is saved.
-        out: the folder of the runs; a search that was interrupted goes on in it. If None, one in
-            `reports/` that is named by the suite.
+        checkpoints: the series between the good and the bad one, in order of age.
+        good: a baseline, or the checkpoint before the series, of which a baseline is saved first.
+        bad: the checkpoint after the series.
+        policy: whose card the weights are for; the suite's own policy if None.
+        everyone: judge every checkpoint: searching alone seldom sees that a series is not monotone.
+        baseline_trials: trials in each scene of a baseline that is saved; 60 if None.
+        out: the folder of the runs, in which an interrupted search goes on;
+            `reports/bisect-<suite>` if None.
         progress: hears which checkpoint is judged, and its verdict.
         changes: of `Request`: scenes, trials (the most of each scene, on average), seed, render,
             time_limit, memory_limit...; of `How`: workers, cache, listener.

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from nw_base.errors import SceneError, nearest
 from nw_base.files.inside import what_is
-from nw_splat.files.convert import WrittenSplat, write_new
 
 if TYPE_CHECKING:
     from nw_base.words import Backend, Projection, UpAxis
+    from nw_splat.files.convert import WrittenSplat
     from nw_splat.gaussians import Gaussians, SplatFigures
 
 _EYE_HEIGHT = 0.3
@@ -20,6 +20,10 @@ _EYE_HEIGHT = 0.3
 
 def splat_info(source: str | Path) -> SplatFigures:
     """Return what a file of Gaussians or a built-in scene holds: counts, bounds, sizes, opacities.
+
+    Args:
+        source: 3DGS or compressed PLY, SPZ, SOG, .splat, gsplat .pt, a nerfstudio export's folder,
+            a file of nw-eval's cache, or the name of a built-in scene.
 
     Raises:
         SceneError: it cannot be read.
@@ -33,13 +37,15 @@ def splat_convert(source: str | Path, out: Path) -> WrittenSplat:
     """Write the Gaussians of a file or of a built-in scene.
 
     Args:
-        source: path of a file, in its own frame, or a built-in scene's name, in world metres.
-        out: its suffix says the format.
+        source: a file of Gaussians, or the name of a built-in scene, which comes in world metres.
+        out: what to write; its suffix says the format.
 
     Raises:
         SceneError: they cannot be read, or do not fit the new format.
         UsageError: a format that cannot be written.
     """
+    from nw_splat.files.convert import write_new
+
     return write_new(out, _gaussians(source))
 
 
@@ -60,16 +66,18 @@ def splat_render(
     A PNG is a still from one pose, a GIF or MP4 a turn.
 
     Args:
-        source: path of a file, or a built-in scene's name.
-        out: .png, .gif or .mp4.
+        source: a file of Gaussians, or the name of a built-in scene.
+        out: what to write: .png, .gif or .mp4.
         size: pixels across and down.
-        up: upward axis of a file's frame; scenes have +z.
-        eye: where the camera stands, in the file's own frame or the scene's world; chosen if None.
-            A turn then looks round from there.
-        target: what a still looks at; the middle of a file, or straight ahead in a scene, if None.
-        frames: of a turn: around a file, or round a scene's course within its walls.
-        backend: the renderer.
-        projection: `ray`, each Gaussian along the pixel's own ray, or `ewa`, as gsplat draws.
+        up: upward axis of a file; built-in scenes have +z.
+        eye: where the camera stands, and a turn looks round from, in the file's own frame or the
+            scene's world; chosen if None.
+        target: what a PNG's camera looks at, for which an eye must be given, too; the middle of a
+            file, or straight ahead in a scene, if None.
+        frames: frames of a turn: around a file, or round a scene's course within its walls.
+        backend: the renderer. There is no silent fallback.
+        projection: how Gaussians become pixels: each along the pixel's own ray, or by EWA as gsplat
+            does.
 
     Raises:
         SceneError: the source cannot be read.

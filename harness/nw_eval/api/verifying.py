@@ -74,14 +74,15 @@ def verify(
     Nothing is written into the run's folder.
 
     Args:
-        run: the run's folder; it may go on, or have been interrupted.
+        run: the folder of a run, which may go on, or have been interrupted.
         offline: look at its files only, and run nothing.
-        trials: how many of those with a result are run again: a share such as `5%`, or a number.
-            At least one is.
-        seed: draws them; one that cannot be predicted if None.
-        root: the Merkle root that the run had, kept elsewhere.
+        trials: run again so many of the trials that have a result, or such a share of them, at
+            least one; 5% by default.
+        seed: the seed that an earlier verification told, to draw its trials again; one that cannot
+            be predicted if None.
+        root: the Merkle root that the run ended with, if you have kept it elsewhere.
         policy: the bundle that made it, where it has moved since, or is served elsewhere.
-        checkpoint: weights that were used instead of the card's, where they have moved since.
+        checkpoint: the weights that were used in place of the card's, where they have moved since.
         allow_code: whether Python code that the policy's card names may be imported.
         how: fields of `How` by name: workers, listener.
 

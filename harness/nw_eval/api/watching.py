@@ -136,21 +136,22 @@ def watch(
 
     Each meets all trials of the suite, and is judged by the suite's bar and against the best
     checkpoint before it: the one with the largest mean success, where that is above the gate's
-    `max_drop`. A checkpoint whose bytes change
-    under its name is another one. Page and table are written after each.
+    `max_drop`. Checkpoints have one of `SUFFIXES`. One whose bytes change under its name is another
+    one. Page and table are written after each.
 
     Args:
-        folder: that the training writes to; files below it with one of `SUFFIXES` and a number in
-            their name, or in their folder's, are its checkpoints.
+        folder: the folder that a training writes to. Its checkpoints are files below it with a
+            number in their name, or in their folder's: `model_1500.pt`.
         suite: a suite file or the name of a shipped one.
-        policy: whose card the weights are for: a bundle's name, folder or card; the suite's own
-            policy if None.
-        pattern: a glob that their names match.
-        every: evaluate each n-th, in order of their steps, from the first.
-        once: end when all that are there are evaluated.
-        idle: end when for so many seconds none has appeared; go on until a signal if None.
+        policy: whose card the weights are for: a bundle's name or folder, or a card; the suite's
+            own policy if None.
+        pattern: only files whose names match this glob.
+        every: evaluate each n-th step, from the first.
+        once: end when all checkpoints that are there have been evaluated.
+        idle: end when for so many seconds no new one has appeared; only Ctrl-C or SIGTERM ends it
+            if None.
         interval: seconds between two looks. A file is taken when two looks find it unchanged.
-        out: where runs, table and page go, and where a watch that ended goes on;
+        out: the folder of runs, table and page, in which a watch that ended goes on;
             `reports/watch-<suite>-<folder>` if None.
         where: trackers that show each run at its training step.
         progress: hears of each checkpoint that was evaluated.

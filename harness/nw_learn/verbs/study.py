@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from nw_eval.cli.verbs.options import Workers
+from nw_eval.cli.verbs.shared import Workers
 
 if TYPE_CHECKING:
     from nw_learn.studies.kinds import Kind

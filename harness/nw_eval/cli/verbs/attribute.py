@@ -13,7 +13,7 @@ import tyro
 from nw_base.clean import clean
 from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
-from nw_eval.cli.verbs.options import AllowCode, Checkpoint, Workers
+from nw_eval.cli.verbs.shared import AllowCode, Checkpoint, Workers
 
 if TYPE_CHECKING:
     from nw_eval.api import AttributedTrial, Attribution, AttributionPlan

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated
-
-import tyro
+from typing import TYPE_CHECKING
 
 from nw_base.clean import clean
+from nw_base.errors import IncomparableError
 from nw_base.plural import plural
-from nw_base.words import Backend
 from nw_eval.cli.terminal.lines import aligned
-from nw_eval.cli.verbs.options import AllowCode, Checkpoint, NoCache, Suite, Workers
+from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
     from nw_eval.api import (
@@ -36,8 +33,16 @@ if TYPE_CHECKING:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Save:
+@verb_of(
+    "save_baseline",
+    changes=(
+        *("suite", "checkpoint", "robot", "render", "time_limit", "memory_limit", "allow_code"),
+        *("workers", "no_cache"),
+    ),
+    without=("root",),
+    listens=True,
+)
+class Save(Verb):
     """Run what is missing of a baseline, and save it as reports/baselines/<suite>/<name>.parquet.
 
     Says first about how long it takes. A save that Ctrl-C interrupted goes on when the same command
@@ -46,186 +51,67 @@ class Save:
     what moved is shown (exit code 5 without it).
     """
 
-    suite: Suite
-    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """A shipped bundle's name, a bundle's folder, or a card; the suite's own when absent."""
-    checkpoint: Checkpoint = None
-    trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
-    """Trials in each scene; as many as the baseline has, and 60 for a new one, when absent."""
-    name: str | None = None
-    """The baseline's name; the policy's when absent."""
-    note: str = ""
-    """Why it is saved."""
-    run: Path | None = None
-    """The folder of a finished run to save as a baseline; nothing is run."""
-    renew: bool = False
-    """Replace the baseline that is there, with its results of all classes of machine."""
-    robot: str | None = None
-    """Robot in place of the suite's: a name or a folder, as for `run`."""
-    render: Backend | None = None
-    """The splat renderer; cpu when absent."""
-    time_limit: float | None = None
-    """Seconds of wall time after which a trial counts as hung."""
-    memory_limit: str | None = None
-    """Memory that a worker may hold with the processes that it started, such as 2GB or 1.5GiB."""
-    allow_code: AllowCode = False
-    workers: Workers = None
-    no_cache: NoCache = False
+    run: Path | None
 
-    def __call__(self) -> int:
-        from nw_base.errors import IncomparableError
-        from nw_eval import api
-        from nw_eval.cli.terminal.progress import RunProgress
+    def show(self, found: SavedBaseline) -> str:
+        return saved_page(found)
 
-        with RunProgress() as progress:
-            saved = api.save_baseline(
-                self.suite,
-                policy=self.policy,
-                trials=self.trials,
-                name=self.name,
-                note=self.note,
-                run=self.run,
-                renew=self.renew,
-                workers=self.workers,
-                cache=not self.no_cache,
-                listener=progress,
-                checkpoint=self.checkpoint,
-                robot=self.robot,
-                render=self.render,
-                time_limit=self.time_limit,
-                memory_limit=self.memory_limit,
-                allow_code=self.allow_code,
-            )
-        print(saved_page(saved))
-        return IncomparableError.exit_code if saved.action == "kept" else 0
+    def code(self, found: SavedBaseline) -> int:
+        return IncomparableError.exit_code if found.action == "kept" else 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class List:
+@verb_of("list_baselines")
+class List(Verb):
     """List the baselines of the project and those that are shipped."""
 
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        print(baseline_table(api.list_baselines()))
-        return 0
+    def show(self, found: Sequence[ListedBaseline]) -> str:
+        return baseline_table(found)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Show:
+@verb_of("show_baseline")
+class Show(Verb):
     """Say what a baseline holds for, who saved it and why, and what it holds, scene by scene."""
 
-    baseline: tyro.conf.Positional[str]
-    """A name, suite/name, or a path."""
-    suite: str | None = None
-    """The suite's name, where several have a baseline of that name."""
-
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        print(baseline_page(api.show_baseline(self.baseline, suite=self.suite)))
-        return 0
+    def show(self, found: ShownBaseline) -> str:
+        return baseline_page(found)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Check:
+@verb_of("check_baseline", changes=("checkpoint", "render", "allow_code"))
+class Check(Verb):
     """Say whether a baseline still holds here: suite, scenes, protocol, simulator, policy.
 
     Exit code 5 if it does not. Says, too, whether it has results of this class of machine.
     """
 
-    baseline: tyro.conf.Positional[str]
-    """A name, suite/name, or a path."""
-    suite: str | None = None
-    """The suite's file, where its name does not find it."""
-    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """Where the baseline's policy lies, if not where the baseline says."""
-    checkpoint: Checkpoint = None
-    render: Backend | None = None
-    """The splat renderer; cpu when absent."""
-    allow_code: AllowCode = False
-
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        checked = api.check_baseline(
-            self.baseline,
-            suite=self.suite,
-            policy=self.policy,
-            checkpoint=self.checkpoint,
-            render=self.render,
-            allow_code=self.allow_code,
-        )
-        print(checked_page(checked))
-        return checked.exit_code
+    def show(self, found: CheckedBaseline) -> str:
+        return checked_page(found)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Verify:
+@verb_of(
+    "verify_baseline",
+    changes=("checkpoint", "render", "allow_code", "workers"),
+    metavars={"trials": "N%|N"},
+    listens=True,
+)
+class Verify(Verb):
     """Run starts of a baseline again by its own policy, and name each row that differs.
 
     Which starts is drawn by an unpredictable seed. Exit code 5 if a row differs, 4 if a
     trial comes to no result. Nothing is written into the project.
     """
 
-    baseline: tyro.conf.Positional[str]
-    """A name, suite/name, or a path."""
-    trials: Annotated[str | None, tyro.conf.arg(aliases=["-n"], metavar="N%|N")] = None
-    """How many of all its starts, or which share, at least one; 10% when absent."""
-    seed: int | None = None
-    """Draw the starts of an earlier verification again, which printed this number."""
-    suite: str | None = None
-    """The suite's file, where its name does not find it."""
-    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """Where the baseline's policy lies, if not where the baseline says."""
-    checkpoint: Checkpoint = None
-    render: Backend | None = None
-    """The splat renderer; cpu when absent."""
-    allow_code: AllowCode = False
-    workers: Workers = None
+    goes_on = "interrupted; not all of the trials that were drawn have run"
 
-    def __call__(self) -> int:
-        from nw_eval import api
-        from nw_eval.cli.terminal.interruption import INTERRUPTED
-        from nw_eval.cli.terminal.last_words import tell
-        from nw_eval.cli.terminal.progress import RunProgress
-
-        with RunProgress() as progress:
-            verified = api.verify_baseline(
-                self.baseline,
-                trials=self.trials,
-                seed=self.seed,
-                suite=self.suite,
-                policy=self.policy,
-                workers=self.workers,
-                listener=progress,
-                checkpoint=self.checkpoint,
-                render=self.render,
-                allow_code=self.allow_code,
-            )
-        print(verified_page(verified))
-        if verified.interrupted:
-            tell("interrupted; not all of the trials that were drawn have run")
-            return INTERRUPTED
-        return verified.exit_code
+    def show(self, found: VerifiedBaseline) -> str:
+        return verified_page(found)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Diff:
+@verb_of("diff_baselines")
+class Diff(Verb):
     """Compare two baselines: what they hold for, means by scene, starts that ended otherwise."""
 
-    then: tyro.conf.Positional[str]
-    """The earlier one: a name, suite/name, or a path."""
-    now: tyro.conf.Positional[str]
-    """The later one."""
-    suite: str | None = None
-    """The suite's name, where several have a baseline of such a name."""
-
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        print(change_page(api.diff_baselines(self.then, self.now, suite=self.suite)))
-        return 0
+    def show(self, found: BaselineChange) -> str:
+        return change_page(found)
 
 
 _NOTE = 60  # characters of a note in a table

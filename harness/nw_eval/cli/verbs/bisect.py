@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import tyro
+from typing import TYPE_CHECKING
 
 from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
-from nw_eval.cli.verbs.options import AllowCode, NoCache, Scenes, Suite, Workers
+from nw_eval.cli.verbs.verb import Verb, verb_of
 from nw_eval.reporting.tables.table import bounds_header
 
 if TYPE_CHECKING:
@@ -19,8 +15,13 @@ if TYPE_CHECKING:
     from nw_gate.bisection import Bisection
 
 
-@dataclass(frozen=True, kw_only=True)
-class BisectSeries:
+@verb_of(
+    "bisect",
+    changes=("suite", "scenes", "trials", "allow_code", "workers", "no_cache"),
+    listens=True,
+    heard=lambda name, word: f"{name}: {word}",
+)
+class BisectSeries(Verb):
     """Find the first checkpoint of a series that the gate flags as worse than a good one.
 
     Checkpoints are files of weights for the card of --policy, or bundles, in order of age; or the
@@ -32,57 +33,14 @@ class BisectSeries:
     decided.
     """
 
-    suite: Suite
-    checkpoints: tyro.conf.Positional[tuple[str, ...]]
-    """The series between the good and the bad one."""
-    good: str
-    """A baseline, or the checkpoint before the series, of which a baseline is saved first."""
-    bad: str
-    """The checkpoint after the series."""
-    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """Whose card the weights are for; the suite's own policy when absent."""
-    everyone: bool = False
-    """Judge every checkpoint: searching alone seldom sees that a series is not monotone."""
-    scenes: Scenes = None
-    trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
+    goes_on = "interrupted; the same command goes on"
+
+    trials: int | None
     """The most trials of each scene for each checkpoint, on average; `gate.rounds` of the suite
     when absent."""
-    baseline_trials: int | None = None
-    """Trials in each scene of a baseline that is saved; 60 when absent."""
-    allow_code: AllowCode = False
-    out: Path | None = None
-    """The folder of the runs, in which an interrupted search goes on; `reports/bisect-<suite>`
-    when absent."""
-    workers: Workers = None
-    no_cache: NoCache = False
 
-    def __call__(self) -> int:
-        from nw_eval import api
-        from nw_eval.cli.terminal.last_words import tell
-        from nw_eval.cli.terminal.progress import RunProgress
-
-        with RunProgress() as progress:
-            series = api.bisect(
-                self.suite,
-                self.checkpoints,
-                good=self.good,
-                bad=self.bad,
-                policy=self.policy,
-                everyone=self.everyone,
-                scenes=self.scenes,
-                trials=self.trials,
-                baseline_trials=self.baseline_trials,
-                allow_code=self.allow_code,
-                out=self.out,
-                workers=self.workers,
-                cache=not self.no_cache,
-                listener=progress,
-                progress=lambda name, word: progress.message(f"{name}: {word}"),
-            )
-        print(series_page(series))
-        if series.found is None:
-            tell("interrupted; the same command goes on")
-        return series.exit_code
+    def show(self, found: BisectedSeries) -> str:
+        return series_page(found)
 
 
 def series_page(series: BisectedSeries) -> str:

@@ -2,45 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from nw_base.clean import clean
+from nw_base.errors import StoreError
 from nw_base.plural import plural
+from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
     from nw_eval.api import CacheCleanup, CacheUse
 
 
-@dataclass(frozen=True, kw_only=True)
-class ShowCache:
+@verb_of("cache_info")
+class ShowCache(Verb):
     """Say where the cache of trials lies, how full it is, and of which policies."""
 
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        print(cache_page(api.cache_info()))
-        return 0
+    def show(self, found: CacheUse) -> str:
+        return cache_page(found)
 
 
-@dataclass(frozen=True, kw_only=True)
-class PruneCache:
+@verb_of("prune_cache", flags=("limit_gb",), named={"limit_gb": "limit"})
+class PruneCache(Verb):
     """Remove the trials that have not been used for longest, until the rest is within a size."""
 
-    limit: float | None = None
-    """The size in GB, 0 for an empty cache; NW_EVAL_CACHE_GB or 5 when absent, which every run
-    keeps to anyway."""
-
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        print(removed_line(api.prune_cache(self.limit)))
-        return 0
+    def show(self, found: CacheCleanup) -> str:
+        return removed_line(found)
 
 
-@dataclass(frozen=True, kw_only=True)
-class VerifyCache:
+@verb_of("verify_cache")
+class VerifyCache(Verb):
     """Read every kept row and log, and remove those that are not what was written.
 
     Compares the checksum of each row and the SHA-256 of each log. Exit code 4 if one was damaged;
@@ -48,13 +39,11 @@ class VerifyCache:
     kept, each run finds out for 2 % of those that it takes over.
     """
 
-    def __call__(self) -> int:
-        from nw_base.errors import StoreError
-        from nw_eval import api
+    def show(self, found: CacheCleanup) -> str:
+        return verified_line(found)
 
-        checked = api.verify_cache()
-        print(verified_line(checked))
-        return StoreError.exit_code if checked.removed else 0
+    def code(self, found: CacheCleanup) -> int:
+        return StoreError.exit_code if found.removed else 0
 
 
 _SHOWN = 20

@@ -3,43 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
 
-import tyro
-
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
     from nw_gate.side_by_side import PolicyComparison
 
 
-@dataclass(frozen=True, kw_only=True)
-class Compare:
+@verb_of("compare")
+class Compare(Verb):
     """Put the policies of runs or baselines side by side: ranks, scenes, where they part."""
 
-    runs: tyro.conf.Positional[tuple[str, ...]]
-    """Folders of runs, and baselines; each is compared with the first by waypoints."""
-    out: Path | None = None
-    """A Markdown page to write."""
-    picture: Path | None = None
-    """A PNG of all scenes and policies to write."""
-    confidence: float = 0.95
-    """Of each interval alone, and of all ranks together."""
+    out: Path | None
+    picture: Path | None
 
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        found = api.compare(
-            self.runs, out=self.out, picture=self.picture, confidence=self.confidence
-        )
-        print(comparison_text(found))
-        for path in (self.out, self.picture):
-            if path is not None:
-                print(path)
-        return 0
+    def show(self, found: PolicyComparison) -> str:
+        written = [str(path) for path in (self.out, self.picture) if path is not None]
+        return "\n".join([comparison_text(found), *written])
 
 
 _WIDTH = 100

@@ -7,7 +7,7 @@ import inspect
 import shutil
 import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -45,7 +45,7 @@ def options_of(form: type) -> tuple[Option, ...]:
     """Return the arguments and options of a verb's class, in the order of its fields."""
     import tyro
 
-    hints, told = get_type_hints(form, include_extras=True), _told(form)
+    hints, told = get_type_hints(form, include_extras=True), told_of(form)
     found: list[Option] = []
     for field in fields(form):
         kind, marks = _plain(hints[field.name])
@@ -94,10 +94,11 @@ def _metavar(kind: Any, name: str, is_argument: bool) -> str:
     return {int: "N", float: "X", Path: "PATH"}.get(kind, name.rpartition("_")[2].upper())
 
 
-def _told(form: type) -> dict[str, str]:
+@cache
+def told_of(form: type) -> dict[str, str]:
     """Return the docstrings of the fields of a class."""
     told: dict[str, str] = {}
-    for base in reversed(form.__mro__[:-1]):
+    for base in (each for each in reversed(form.__mro__) if is_dataclass(each) and fields(each)):
         [defined] = ast.parse(textwrap.dedent(inspect.getsource(base))).body
         assert isinstance(defined, ast.ClassDef)
         for field, text in pairwise(defined.body):

@@ -4,34 +4,25 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import tyro
-
 from nw_base.clean import clean
 from nw_base.plural import plural
+from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
     from nw_gate.ledger_report import Alarms, BestOfMany, LedgerReport, Reroll
 
 
-@dataclass(frozen=True, kw_only=True)
-class Ledger:
+@verb_of("read_ledger")
+class Ledger(Verb):
     """Sum up a ledger: gates a year, false alarms, re-rolls, and luck of the best of many."""
 
-    file: tyro.conf.Positional[Path]
-    """The ledger."""
-    head: str | None = None
-    """The head that an earlier call printed, kept elsewhere. A ledger without that line is refused:
-    its end was cut off, or it was written anew."""
+    file: Path
 
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        print(ledger_page(api.read_ledger(self.file, head=self.head)))
-        return 0
+    def show(self, found: LedgerReport) -> str:
+        return ledger_page(found)
 
 
 _LISTED = 10  # candidates, or seed sets, that have a line of their own

@@ -20,32 +20,6 @@ from nw_base.errors import NwEvalError, UsageError
 from nw_base.words import PanelKind
 from nw_gate.results.request import Request
 
-# One idea has one option, and one help, in all verbs that have it.
-Suite = tyro.conf.Positional[
-    Annotated[
-        str,
-        tyro.conf.arg(
-            help="A suite file, or the name of a shipped suite (`nw-eval suites` lists them)."
-        ),
-    ]
-]
-Workers = Annotated[
-    int | None,
-    tyro.conf.arg(aliases=["-j"], help="Worker processes; the number of cores when absent."),
-]
-Scenes = Annotated[
-    tuple[str, ...] | None,
-    tyro.conf.arg(
-        metavar="GLOB ...",
-        help="Only scenes that match one of these globs, or are of `split:train` or `split:eval`.",
-    ),
-]
-Checkpoint = Annotated[
-    Path | None, tyro.conf.arg(help="Weights to use in place of those that the card names.")
-]
-AllowCode = Annotated[bool, tyro.conf.arg(help="Let the policy's card import Python code.")]
-NoCache = Annotated[bool, tyro.conf.arg(help="Run every trial, and keep no result for later runs.")]
-
 if TYPE_CHECKING:
     from nw_base.words import Tracker
     from nw_eval.api import Published, RunReport, Surfaces

@@ -11,7 +11,7 @@ import tyro
 
 from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
-from nw_eval.cli.verbs.options import Scenes, Suite
+from nw_eval.cli.verbs.shared import Scenes, Suite
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-import tyro
+from typing import TYPE_CHECKING, Any
 
 from nw_base.clean import clean
+from nw_base.errors import UsageError
 from nw_base.plural import plural
 from nw_eval.cli.terminal.interruption import stopped_by_signals
-from nw_eval.cli.terminal.lines import aligned
-from nw_eval.cli.verbs.options import AllowCode, Checkpoint
+from nw_eval.cli.terminal.lines import aligned, fetched_lines
+from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
+    from nw_eval.api import CardDraft, FoldedGraph
     from nw_policies.cards.load import ListedPolicy
+    from nw_scenes.hub.reference import Fetched
     from nw_sim.probe.report import (
         ProbedCommand,
         ProbedJoint,
@@ -27,43 +26,24 @@ if TYPE_CHECKING:
     from nw_sim.probe.summary import CardFile, CardJoint, CardSummary, CardTerm
 
 
-@dataclass(frozen=True, kw_only=True)
-class List:
+@verb_of("list_policies")
+class List(Verb):
     """List the policies that can be asked for by name."""
 
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        print(policy_table(api.list_policies()))
-        return 0
+    def show(self, found: Sequence[ListedPolicy]) -> str:
+        return policy_table(found)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Show:
+@verb_of("show_policy", changes=("checkpoint", "allow_code"))
+class Show(Verb):
     """Say what a card says: every term, every joint, whatever is not by default, the checkpoint."""
 
-    policy: tyro.conf.Positional[str]
-    """A shipped bundle's name, a bundle's folder, a card, or hub:org/name."""
-    robot: str | None = None
-    """The folder of the robot that the card names; it is found by its name when absent."""
-    checkpoint: Checkpoint = None
-    allow_code: AllowCode = False
-
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        summary = api.show_policy(
-            self.policy,
-            robot=self.robot,
-            checkpoint=self.checkpoint,
-            allow_code=self.allow_code,
-        )
-        print(card_page(summary))
-        return 0
+    def show(self, found: CardSummary) -> str:
+        return card_page(found)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Check:
+@verb_of("check_policy", changes=("checkpoint", "allow_code"))
+class Check(Verb):
     """Run a policy for some seconds: range of every term, dead inputs, NaN, wrong signs and orders.
 
     In the flat room, a policy that sees a velocity command is also commanded ahead, sideways and in
@@ -71,111 +51,53 @@ class Check:
     Says `no fault found`, or what is wrong and what the card should say (exit code 2).
     """
 
-    policy: tyro.conf.Positional[str]
-    """A shipped bundle's name, a bundle's folder, a card, or hub:org/name."""
-    robot: str | None = None
-    """The folder of the robot that the card names; it is found by its name when absent."""
-    checkpoint: Checkpoint = None
-    scene: str | None = None
-    """Where; a flat room when absent."""
-    allow_code: AllowCode = False
+    def show(self, found: ProbeReport) -> str:
+        return probe_page(found)
 
-    def __call__(self) -> int:
-        from nw_base.errors import UsageError
-        from nw_eval import api
-
-        report = api.check_policy(
-            self.policy,
-            robot=self.robot,
-            checkpoint=self.checkpoint,
-            scene=self.scene,
-            allow_code=self.allow_code,
-        )
-        print(probe_page(report))
-        return 0 if report.passed else UsageError.exit_code
+    def code(self, found: ProbeReport) -> int:
+        return 0 if found.passed else UsageError.exit_code
 
 
-@dataclass(frozen=True, kw_only=True)
-class Init:
+@verb_of("init_policy")
+class Init(Verb):
     """Inspect a checkpoint, without running it, and write a first card beside it.
 
     Only a TorchScript file that hides the size of its one input is run, on zeros and confined.
     Files beside it, above it, or in `params`, `configs` or `io_descriptors` there, say what it does
     not: deploy.yaml, IO_descriptors.yaml, env.yaml, agent.yaml, and the configs of rl_sar,
-    legged_rl_deploy, unitree_rl_gym and others. The card says which file gave which line.
+    legged_rl_deploy, unitree_rl_gym and others. The card says which file gave which line. --out is
+    a file here; that of `robots init` is a folder, since a robot has several files.
     """
 
-    checkpoint: tyro.conf.Positional[Path]
-    """An ONNX, TorchScript, torch.export, safetensors or state-dict file, or what a training saves:
-    rsl_rl, skrl, rl_games, CleanRL, Stable-Baselines3, brax or flax. Of a folder, such as a
-    training's, the newest step is taken."""
-    robot: str
-    """The robot that the policy drives: a name such as go1, or the path of a folder."""
-    out: Path | None = None
-    """The card to write, a file; `policy.yaml` beside the checkpoint or in its folder when absent.
-    (The --out of `robots init` is a folder: a robot has several files.)"""
-    layout: str | None = None
-    """The published layout of what the policy sees, such as isaac-lab; the likeliest when absent.
-    The card names those that fit."""
-
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        draft = api.init_policy(self.checkpoint, robot=self.robot, out=self.out, layout=self.layout)
-        print(f"{draft.text}\n{draft.file}: {plural(draft.to_check, 'line')} to check")
-        return 0
+    def show(self, found: CardDraft) -> str:
+        return f"{found.text}\n{found.file}: {plural(found.to_check, 'line')} to check"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Fold:
+@verb_of("fold_policy")
+class Fold(Verb):
     """Write a checkpoint of several files as one file, without running it."""
 
-    checkpoint: tyro.conf.Positional[Path]
-    """An ONNX file whose weights lie in a second file beside it, or the folder of a step that Orbax
-    saved, which becomes a safetensors file."""
-    out: Path
-    """The file to write."""
-
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        folded = api.fold_policy(self.checkpoint, out=self.out)
-        print(f"{folded.file}: {folded.bytes / 1e6:.2f} MB in one file")
-        return 0
+    def show(self, found: FoldedGraph) -> str:
+        return f"{found.file}: {found.bytes / 1e6:.2f} MB in one file"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Serve:
+@verb_of("serve_policy", changes=("checkpoint", "allow_code"), without=("confined",))
+class Serve(Verb):
     """Serve a policy over a websocket, for `adapter: remote`, until SIGINT or SIGTERM."""
 
-    policy: tyro.conf.Positional[str]
-    """A shipped bundle's name, a bundle's folder, a card, or hub:org/name."""
-    checkpoint: Checkpoint = None
-    host: str = "127.0.0.1"
-    """Address to listen on; whoever reaches it can use the policy."""
-    port: int = 8765
-    """Port to listen on; 0 chooses a free one."""
-    allow_code: AllowCode = False
+    def more(self) -> dict[str, Any]:
+        return {"confined": True}
 
     def __call__(self) -> int:
-        from nw_eval import api
-
         stop = stopped_by_signals()
-        with api.serve_policy(
-            self.policy,
-            checkpoint=self.checkpoint,
-            host=self.host,
-            port=self.port,
-            allow_code=self.allow_code,
-            confined=True,
-        ) as served:
+        with self.call() as served:
             print(f"serving {served.name} at {served.url} (digest {served.digest})", flush=True)
             stop.wait()
         return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class FetchPolicy:
+@verb_of("fetch_policy", named={"reference": "policy"})
+class FetchPolicy(Verb):
     """Fetch a policy as its hub has it now; runs use it from then on, without a network.
 
     Nothing of it is run, and the token that it needs is not needed again. A download that breaks
@@ -183,15 +105,8 @@ class FetchPolicy:
     are, HF_ENDPOINT which hub. Needs the extra `hub`.
     """
 
-    policy: tyro.conf.Positional[str]
-    """hub:org/name, or hub:org/name@revision."""
-
-    def __call__(self) -> int:
-        from nw_eval import api
-        from nw_eval.cli.terminal.lines import fetched_lines
-
-        print(fetched_lines(api.fetch_policy(self.policy)))
-        return 0
+    def show(self, found: Fetched) -> str:
+        return fetched_lines(found)
 
 
 def policy_table(policies: Sequence[ListedPolicy]) -> str:

@@ -12,7 +12,7 @@ import tyro
 from nw_base.clean import clean
 from nw_base.plural import plural
 from nw_base.words import Viewer
-from nw_eval.cli.verbs.options import AllowCode, Checkpoint
+from nw_eval.cli.verbs.shared import AllowCode, Checkpoint
 
 if TYPE_CHECKING:
     from pathlib import Path

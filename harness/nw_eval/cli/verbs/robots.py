@@ -5,114 +5,84 @@ from __future__ import annotations
 import json as jsons
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import tyro
-
 from nw_base.clean import clean
 from nw_base.plural import plural
-from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.terminal.lines import aligned, fetched_lines
+from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
-    from nw_eval.api import ListedRobot
+    from nw_eval.api import ListedRobot, RobotDraft
+    from nw_scenes.hub.reference import Fetched
     from nw_sim.probe.robot_check import CheckedRobot, RobotEye, RobotJoint, RobotSummary
 
 FALLS = 1
 """Exit code of a robot that does not stand."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class List:
+@verb_of("list_robots")
+class List(Verb):
     """List the robots that can be asked for by name: built in, in ./robots, and of packages."""
 
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        print(robot_table(api.list_robots()))
-        return 0
+    def show(self, found: Sequence[ListedRobot]) -> str:
+        return robot_table(found)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Show:
+@verb_of("show_robot")
+class Show(Verb):
     """Say what a robot is: joints, motors, feet, camera, mass, and which line says each of them."""
 
-    robot: tyro.conf.Positional[str]
-    """A name, or the path of a folder with a robot.yaml."""
     json: bool = False
     """Print it as JSON."""
 
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        summary = api.show_robot(self.robot)
-        print(jsons.dumps(asdict(summary), indent=2) if self.json else robot_page(summary))
-        return 0
+    def show(self, found: RobotSummary) -> str:
+        return jsons.dumps(asdict(found), indent=2) if self.json else robot_page(found)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Init:
+@verb_of("init_robot")
+class Init(Verb):
     """Derive a first robot.yaml from a model file, drop the robot for 2 s, and write it.
 
     It lies beside the model, or in the folder above that holds model and meshes. Each line says
-    where its value is from; `CHECK` marks a guess.
+    where its value is from; `CHECK` marks a guess. --out is a folder here; that of `policies init`
+    is a file, the card.
     """
 
-    model: tyro.conf.Positional[Path]
-    """MJCF (.xml) or URDF (.urdf)."""
-    out: Path | None = None
-    """A new folder to copy model and meshes into, and to write robot.yaml into; folders above it
-    are made. `policies init --out` is a file: the card."""
-
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        draft = api.init_robot(self.model, out=self.out)
-        ending = "it stands" if draft.stands else "it does not stand"
-        print(f"{draft.text}\n{draft.file}: {plural(draft.to_check, 'line')} to check; {ending}")
-        return 0
+    def show(self, found: RobotDraft) -> str:
+        ending = "it stands" if found.stands else "it does not stand"
+        return f"{found.text}\n{found.file}: {plural(found.to_check, 'line')} to check; {ending}"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Check:
+@verb_of("check_robot")
+class Check(Verb):
     """Stand a robot for 2 s in its pose, with its gains. Exit code 1 if it does not stand.
 
     Says its feet, motors, contacts with itself and height, and draws it from outside and from its
     eye. One with fewer than three feet, which only a policy balances, is held upright.
     """
 
-    robot: tyro.conf.Positional[str]
-    """A name, or the path of a folder with a robot.yaml."""
-    out: Path = Path("robot.png")
-    """The PNG to write."""
+    out = Path("robot.png")
 
-    def __call__(self) -> int:
-        from nw_eval import api
+    def show(self, found: CheckedRobot) -> str:
+        return f"{check_page(found)}\n{self.out}"
 
-        checked = api.check_robot(self.robot, out=self.out)
-        print(check_page(checked))
-        print(self.out)
-        return 0 if checked.stands else FALLS
+    def code(self, found: CheckedRobot) -> int:
+        return 0 if found.stands else FALLS
 
 
-@dataclass(frozen=True, kw_only=True)
-class Fetch:
+@verb_of("fetch_robot", named={"reference": "robot"})
+class Fetch(Verb):
     """Fetch a robot as its hub, or MuJoCo Menagerie, has it now; runs use it from then on.
 
     Nothing of it is run, and no network is asked again. Robots of a hub need the extra `hub`, those
     of Menagerie the extra `robots`.
     """
 
-    robot: tyro.conf.Positional[str]
-    """hub:org/name, hub:org/name@revision, or menagerie:NAME."""
-
-    def __call__(self) -> int:
-        from nw_eval import api
-        from nw_eval.cli.terminal.lines import fetched_lines
-
-        print(fetched_lines(api.fetch_robot(self.robot)))
-        return 0
+    def show(self, found: Fetched) -> str:
+        return fetched_lines(found)
 
 
 def robot_table(robots: Sequence[ListedRobot]) -> str:

@@ -6,103 +6,67 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
 from nw_base.clean import clean
+from nw_base.errors import SceneError
 from nw_base.plural import in_words, plural
+from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
     from nw_eval.api import CheckedScene, ListedScene, PushedScene
     from nw_scenes.overview import SceneFigures
 
 
-@dataclass(frozen=True, kw_only=True)
-class List:
+@verb_of("list_scenes")
+class List(Verb):
     """List scenes with their waypoints, split (`split:eval` names its scenes) and obstacles."""
 
-    patterns: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Names or globs; every built-in scene when absent."""
-    robot: str | None = None
-    """Say what the steps and gaps of each scene ask of this robot's legs."""
-
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        print(scene_table(api.list_scenes(self.patterns, robot=self.robot)))
-        return 0
+    def show(self, found: Sequence[ListedScene]) -> str:
+        return scene_table(found)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Show:
+@verb_of("show_scene", named={"reference": "scene"})
+class Show(Verb):
     """Say everything about one scene, and draw it from above with its trail and heights."""
 
-    scene: tyro.conf.Positional[str]
-    """A built-in name, a scene folder, neverwhere:<folder or published name>, or hub:org/name."""
-    out: Path | None = None
-    """A PNG of the view from above."""
+    out: Path | None
 
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        print(scene_page(api.show_scene(self.scene, out=self.out)))
-        if self.out is not None:
-            print(self.out)
-        return 0
+    def show(self, found: SceneFigures) -> str:
+        return scene_page(found) if self.out is None else f"{scene_page(found)}\n{self.out}"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Check:
+@verb_of("check_scenes", without=("policy",), named={"references": "scenes"})
+class Check(Verb):
     """Find what is wrong with scenes: files, start, trail, splat. Exit code 2 if any is.
 
     Along the course: ground that does not carry the robot's feet, steps and gaps that its legs are
     too short for, and a splat that does not show its camera what the mesh has there.
     """
 
-    scenes: tyro.conf.Positional[tuple[str, ...]]
-    """Built-in names, scene folders, neverwhere:<folder or published name>, or hub:org/name."""
-    robot: str = "go1"
-    """Whose feet, camera and length count."""
-    out: Path | None = None
-    """Write a suite of them to this file, ready to run, unless something is wrong."""
+    out: Path | None
     policy: str | None = None
     """With --out: the policy of the suite. One that nw-eval has a card of when absent."""
 
-    def __call__(self) -> int:
-        from nw_base.errors import SceneError
-        from nw_eval import api
+    def more(self) -> dict[str, Any]:
+        return {"policy": self.policy}
 
-        checked = api.check_scenes(self.scenes, robot=self.robot, out=self.out, policy=self.policy)
-        print(findings_text(checked))
-        if any(scene.has_errors for scene in checked):
-            return SceneError.exit_code
-        if self.out is not None:
-            print(f"ready: nw-eval run {shlex.quote(str(self.out))}")
-        return 0
+    def show(self, found: Sequence[CheckedScene]) -> str:
+        if self.out is None or self.code(found):
+            return findings_text(found)
+        return f"{findings_text(found)}\nready: nw-eval run {shlex.quote(str(self.out))}"
+
+    def code(self, found: Sequence[CheckedScene]) -> int:
+        return SceneError.exit_code if any(scene.has_errors for scene in found) else 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Render:
+@verb_of("render_scenes", listens=True)
+class Render(Verb):
     """Draw scenes from the robot's eye and from outside on one sheet; by mesh without a splat."""
 
-    patterns: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Names or globs; every built-in scene when absent."""
-    out: Path = Path("scenes.png")
-    """The PNG to write."""
-    width: int = 480
-    """Pixels across each view."""
-
-    def __call__(self) -> int:
-        from nw_eval import api
-        from nw_eval.cli.terminal.progress import RunProgress
-
-        with RunProgress() as listener:
-            picture = api.render_scenes(
-                self.patterns, out=self.out, width=self.width, listener=listener
-            )
-        print(picture)
-        return 0
+    out = Path("scenes.png")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,26 +97,16 @@ class FetchScenes:
         return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class PushScene:
+@verb_of("push_scene", named={"folder": "scene"})
+class PushScene(Verb):
     """Put a scene folder into a data set of a hub, as one commit. Needs the extra `hub`.
 
     The files that the scene is made of are pushed, README and licence if they lie beside them, and
     nothing else. A scene that `scenes check` finds errors in is not.
     """
 
-    scene: tyro.conf.Positional[Path]
-    """The folder, with its scene.yaml."""
-    to: tyro.conf.Positional[str]
-    """hub:org/name; the repository is made if it is not there."""
-    private: bool = False
-    """Make a repository that only its owner sees."""
-
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        print(pushed_line(api.push_scene(self.scene, self.to, private=self.private)))
-        return 0
+    def show(self, found: PushedScene) -> str:
+        return pushed_line(found)
 
 
 def scene_table(scenes: Sequence[ListedScene]) -> str:

@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-import tyro
-
-from nw_base.words import Described
+from nw_eval.cli.verbs.verb import Verb, verb_of
 
 
-@dataclass(frozen=True, kw_only=True)
-class Schema:
+@verb_of("schema")
+class Schema(Verb):
     """Write the JSON Schema that editors use to complete and check files."""
 
-    kind: tyro.conf.Positional[Described] = "suite"
-    """Which kind of file: a suite, a policy's card, scene.yaml, or a scene's file of boxes."""
-    out: Path | None = None
+    kind = "suite"
+    out: Path | None
     """Where to write it; standard output when absent."""
 
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        described = api.schema(self.kind, out=self.out)
-        if self.out is None:
-            print(json.dumps(described, indent=2))
-        return 0
+    def show(self, found: Mapping[str, Any]) -> str:
+        return json.dumps(found, indent=2) if self.out is None else ""

@@ -3,55 +3,31 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from math import isclose, nan
-from pathlib import Path
 from typing import TYPE_CHECKING
-
-import tyro
 
 from nw_base.clean import clean
 from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
     from nw_sim.rollout.replaying.rescored import LogScores
 
 
-@dataclass(frozen=True, kw_only=True)
-class Scores:
+@verb_of("log_scores", named={"scores": "score", "topics": "topic"})
+class Scores(Verb):
     """Compute scores from a log: of a trial of a run, or of a robot (MCAP, ROS 2 bag).
 
     A run's trial is led along its log again, and measured by the same code as in the run. A robot's
     log gives the scores that its topics allow, and says which topic the others need.
     """
 
-    log: tyro.conf.Positional[Path]
-    """A trial's MCAP file, or one with joint states and commands of a robot, or a bag's folder."""
-    score: tuple[str, ...] = ()
-    """Which scores; all if none is named."""
-    robot: str | None = None
-    """Whose log it is, if it is not that of a run."""
-    topic: tuple[str, ...] = ()
-    """Of a robot's log: joints=NAME, targets=NAME, pose=NAME or command=NAME, in place of those
-    that are found by what their messages are."""
     json: bool = False
     """Print JSON."""
-    allow_code: bool = False
-    """Let scores that are Python functions of the run's suite run; its log holds them."""
 
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        found = api.log_scores(
-            self.log,
-            scores=self.score,
-            robot=self.robot,
-            topics=self.topic,
-            allow_code=self.allow_code,
-        )
-        print(scores_json(found) if self.json else scores_text(found))
-        return 0
+    def show(self, found: LogScores) -> str:
+        return scores_json(found) if self.json else scores_text(found)
 
 
 def scores_json(found: LogScores) -> str:

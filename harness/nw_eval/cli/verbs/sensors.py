@@ -3,44 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from nw_eval.cli.verbs.options import AllowCode
+from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
     from nw_eval.api import ListedSensor
     from nw_sim.sensors.gallery import SeenCard, SeenObservation
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sensors:
+@verb_of("draw_sensors", changes=("allow_code",))
+class Sensors(Verb):
     """Draw what the sensors of a policy's card see, or one frame of every sensor there is."""
 
-    policy: tyro.conf.Positional[str | None] = None
-    """A bundle's name, folder or card; every built-in sensor when absent."""
-    scene: str = "hurdles/two_logs_park"
-    """Where to look: a scene's name or folder."""
-    out: Path = Path("sensors.png")
-    """The PNG to write."""
-    allow_code: AllowCode = False
+    policy = None
+    scene = "hurdles/two_logs_park"
+    out = Path("sensors.png")
     names: Annotated[bool, tyro.conf.arg(name="list")] = False
     """List sensors and wrappers, plug-ins included, and draw nothing."""
 
+    def show(self, found: SeenCard) -> str:
+        return seen_text(found)
+
     def __call__(self) -> int:
+        if not self.names:
+            return super().__call__()
         from nw_eval import api
 
-        if self.names:
-            print(sensor_list(api.list_sensors()))
-            return 0
-        seen = api.draw_sensors(
-            self.policy, scene=self.scene, out=self.out, allow_code=self.allow_code
-        )
-        if text := seen_text(seen):
-            print(text)
+        print(sensor_list(api.list_sensors()))
         return 0
 
 

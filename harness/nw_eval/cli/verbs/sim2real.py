@@ -2,40 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
 
-import tyro
-
 from nw_base.clean import clean
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
     from nw_gate.stats.agreement import Agreement, AgreementFigure
     from nw_gate.stats.interval import Interval
 
 
-@dataclass(frozen=True, kw_only=True)
-class SimToReal:
+@verb_of("sim2real")
+class SimToReal(Verb):
     """Say how well runs agree with results on the robot, and what a perfect simulator shows."""
 
-    real: tyro.conf.Positional[Path]
-    """A CSV with the columns policy, scene, trials, success."""
-    runs: tyro.conf.Positional[tuple[str, ...]]
-    """Folders of runs, and baselines, of those policies."""
-    confidence: float = 0.95
-    """Of each interval."""
-    score: str | None = None
-    """A score of the runs in place of success; REAL has a column of its name, in its unit."""
+    real: Path
 
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        found = api.sim2real(self.real, self.runs, confidence=self.confidence, score=self.score)
-        print(agreement_text(found))
-        return 0
+    def show(self, found: Agreement) -> str:
+        return agreement_text(found)
 
 
 _WIDTH = 100

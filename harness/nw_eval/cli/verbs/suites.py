@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
     from nw_eval.api import ListedSuite
 
 
-@dataclass(frozen=True, kw_only=True)
-class Suites:
+@verb_of("list_suites")
+class Suites(Verb):
     """List the suites that can be asked for by name: scenes, trials, bar, policy, purpose."""
 
-    def __call__(self) -> int:
-        from nw_eval import api
-
-        print(suite_table(api.list_suites()))
-        return 0
+    def show(self, found: Sequence[ListedSuite]) -> str:
+        return suite_table(found)
 
 
 def suite_table(suites: Sequence[ListedSuite]) -> str:

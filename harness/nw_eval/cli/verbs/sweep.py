@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from nw_eval.cli.terminal.lines import aligned
-from nw_eval.cli.verbs.options import AllowCode, NoCache, Scenes, Suite, Workers
+from nw_eval.cli.verbs.shared import AllowCode, NoCache, Scenes, Suite, Workers
 from nw_gate.results.request import Request
 
 if TYPE_CHECKING:

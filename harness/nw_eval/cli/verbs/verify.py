@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import tyro
+from typing import TYPE_CHECKING, Any
 
 from nw_base.clean import clean
 from nw_base.plural import plural
-from nw_eval.cli.verbs.options import AllowCode, Workers
+from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
     from nw_eval.api import VerifiedRun
@@ -19,67 +16,41 @@ if TYPE_CHECKING:
     from nw_sim.rollout.replaying.reports import RepeatedTrial, Repeats
 
 
-@dataclass(frozen=True, kw_only=True)
-class Verify:
+@verb_of(
+    "verify",
+    changes=("allow_code", "workers"),
+    metavars={"trials": "N%|N", "root": "HEX"},
+    listens=True,
+)
+class Verify(Verb):
     """Say whether rows and logs of a run are as they were when it ended, and name what is not.
 
     Then run some of its trials again, drawn by an unpredictable seed, and compare states,
     actions and images bit for bit. Nothing is written into the run's folder.
     """
 
-    run: tyro.conf.Positional[Path]
-    """The folder of a run."""
-    offline: bool = False
-    """Look at its files only, and run nothing."""
-    trials: Annotated[str | None, tyro.conf.arg(aliases=["-n"], metavar="N%|N")] = None
-    """Run again so many of the trials that have a result, at least one; 5% when absent."""
-    seed: int | None = None
-    """Draw the trials of an earlier verification again, which printed this number."""
-    root: Annotated[str | None, tyro.conf.arg(metavar="HEX")] = None
-    """The Merkle root that the run ended with, if you have kept it elsewhere."""
-    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """The bundle that made it, when it has moved since."""
-    checkpoint: Path | None = None
-    """The weights that were used in place of the card's, when they have moved since."""
-    allow_code: AllowCode = False
-    workers: Workers = None
+    goes_on = "interrupted; not all of the trials that were drawn have run"
 
-    def __call__(self) -> int:
-        from nw_eval import api
-        from nw_eval.api.verifying import SAMPLE
-        from nw_eval.cli.terminal.interruption import INTERRUPTED
-        from nw_eval.cli.terminal.last_words import tell
-        from nw_eval.cli.terminal.progress import RunProgress
+    run: Path
+    offline: bool
+    trials: str | None = None
+    seed: int | None
+    policy: str | None
 
-        self._check()
-        with RunProgress() as progress:
-            verified = api.verify(
-                self.run,
-                offline=self.offline,
-                trials=SAMPLE if self.trials is None else self.trials,
-                seed=self.seed,
-                root=self.root,
-                policy=self.policy,
-                checkpoint=self.checkpoint,
-                allow_code=self.allow_code,
-                workers=self.workers,
-                listener=progress,
-            )
-        print(verification_lines(verified))
-        if verified.interrupted:
-            tell("interrupted; not all of the trials that were drawn have run")
-            return INTERRUPTED
-        return verified.exit_code
-
-    def _check(self) -> None:
+    def more(self) -> dict[str, Any]:
         from nw_base.errors import UsageError
+        from nw_eval.api.verifying import SAMPLE
 
-        run = {"--trials": self.trials, "--seed": self.seed, "--policy": self.policy}
-        used = [option for option, value in run.items() if value is not None]
+        given = {"--trials": self.trials, "--seed": self.seed, "--policy": self.policy}
+        used = [option for option, value in given.items() if value is not None]
         if self.offline and used:
             raise UsageError(
                 f"{used[0]} is for running trials again, --offline runs none", fix="drop one"
             )
+        return {"trials": SAMPLE if self.trials is None else self.trials}
+
+    def show(self, found: VerifiedRun) -> str:
+        return verification_lines(found)
 
 
 _MOST = 20

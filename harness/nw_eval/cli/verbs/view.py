@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import tyro
 
 from nw_eval.cli.terminal.interruption import stopped_by_signals
-from nw_eval.cli.verbs.options import AllowCode, Checkpoint
+from nw_eval.cli.verbs.shared import AllowCode, Checkpoint
 
 if TYPE_CHECKING:
     from nw_eval.view.drawing import ServedPage

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import tyro
+from nw_eval.cli.verbs.verb import Verb, verb_of
+
+if TYPE_CHECKING:
+    from nw_eval.api import WarmUp
 
 
-@dataclass(frozen=True, kw_only=True)
-class Warmup:
+@verb_of("warmup", listens=True)
+class Warmup(Verb):
     """Compile the rendering kernels into the cache, and build the splats of the named scenes."""
 
-    scenes: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Names or globs of scenes to build as well."""
-
-    def __call__(self) -> int:
-        from nw_eval import api
-        from nw_eval.cli.terminal.progress import RunProgress
-
-        with RunProgress() as listener:
-            done = api.warmup(self.scenes, listener=listener)
-            built = f", {len(done.scenes)} scenes built" if done.scenes else ""
-            print(f"kernels ready after {done.kernel_seconds:.1f} s{built}")
-        return 0
+    def show(self, found: WarmUp) -> str:
+        built = f", {len(found.scenes)} scenes built" if found.scenes else ""
+        return f"kernels ready after {found.kernel_seconds:.1f} s{built}"
