@@ -132,8 +132,8 @@ MOST = {
         ),
     ),
     "nw_eval": Figures(
-        32181,
-        152,
+        32104,
+        153,
         ("nw_learn", "nw_twin"),
     ),
     "nw_gate": Figures(
