@@ -141,6 +141,22 @@ class Here:
             and bank.panel_of(self.machine) is not None
         )
 
+    def held_out(self) -> Here:
+        """Return the same with starts of a seed set of its own, by its policy and the suite."""
+        from nw_eval.engine.provenance import policy_info, run_info
+        from nw_eval.suite import expand, override
+        from nw_gate.baseline.match import fresh_seed
+        from nw_gate.results.bank import key_of
+        from nw_gate.results.request import Request
+        from nw_gate.results.run_folder import RunFolder
+
+        settings = self.plan.suite.model_dump(by_alias=True)
+        seed = fresh_seed(policy_info(self.plan.bundle), settings, purpose="held-out")
+        suite = override(self.plan.suite, Request(seed=seed))
+        plan = replace(self.plan, suite=suite, trials=expand(suite, self.plan.scenes))
+        run = run_info(plan, RunFolder(path=Path(suite.name)), How())
+        return replace(self, plan=plan, key=key_of(run))
+
     def with_starts(self, starts: int) -> Here:
         """Return the same with another number of starts.
 
@@ -269,6 +285,7 @@ def check_baseline(
     own, unchecked = bank.manifest.policy, None
     try:
         place: Here = here(wanted, policy=policy or own.card or own.name, **changes)
+        place = place.held_out() if bank.manifest.held_out else place
         moved = policy_changes(own, place.policy)
     except PolicyError as error:
         if policy is not None:

@@ -55,6 +55,7 @@ def save_baseline(
     note: str = "",
     run: str | Path | None = None,
     renew: bool = False,
+    held_out: bool = False,
     root: Path | None = None,
     **changes: Any,
 ) -> SavedBaseline:
@@ -71,6 +72,9 @@ def save_baseline(
         note: why it is saved; if empty, as before.
         run: the folder of a finished run to save as a baseline; nothing is run.
         renew: replace the baseline that is there, with its results of all classes of machine.
+        held_out: draw its starts from a seed set of its own: for a policy that was chosen by its
+            results on the suite's, such as the best of a training. What is compared with it on the
+            suite's seed set counts as having met fresh starts.
         root: the folder of baselines; `reports/baselines` if None.
         changes: of `Request`: checkpoint, render, time_limit, memory_limit, allow_code; of `How`:
             workers, cache, listener.
@@ -93,9 +97,11 @@ def save_baseline(
     place, info, rows = None, None, ()
     if run is None:
         place = here(suite, policy=policy, **changes)
+        place = place.held_out() if held_out else place
         folder, own = place.plan.suite.name, place.policy.name
     else:
-        _check_decided({"policy": policy, "trials": trials, "workers": how.workers, **changes})
+        asked = {"policy": policy, "trials": trials, "held_out": held_out, "workers": how.workers}
+        _check_decided({**asked, **changes})
         folder = load_suite(suite).name
         info, rows = _finished_results(Path(run), folder)
         own = info.policy.name
@@ -115,6 +121,7 @@ def save_baseline(
         card=card_reference(info.policy.card),
         by=author(),
         note=note or (earlier.manifest.note if earlier else ""),
+        held_out=held_out,
     )
     ran = Path(run) if run is not None else place.work if place is not None else None
     return replace(_written(file, earlier, found, renew=renew), run=ran)

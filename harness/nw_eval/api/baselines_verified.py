@@ -95,9 +95,9 @@ def verify_baseline(
     if policy is None and _is_here(own.card or own.name):
         policy = own.card or own.name
     # Else the suite's own policy is taken: whether it is the baseline's, its digests tell.
-    place = here(suite or bank.manifest.suite, policy=policy, **changes).with_starts(
-        bank.manifest.starts
-    )
+    place = here(suite or bank.manifest.suite, policy=policy, **changes)
+    place = place.held_out() if bank.manifest.held_out else place
+    place = place.with_starts(bank.manifest.starts)
     _check(bank, place)
     seed = unforeseen_seed() if seed is None else seed
     names = draw([trial.id for trial in place.plan.trials], sample, seed)

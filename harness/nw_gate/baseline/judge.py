@@ -28,7 +28,7 @@ from nw_gate.baseline.finding import (
     scores_of,
     strata_that_count,
 )
-from nw_gate.baseline.match import basis_of, check_match, claim_of, drawn_order, recheck
+from nw_gate.baseline.match import basis_of, check_match, claim_of, drawn_order, met_others, recheck
 from nw_gate.baseline.power_forecast import Outset, about_more_trials, outset_of_bank
 from nw_gate.results.bank import Against, BaselineResults, Panel, Start, Stratum, score
 from nw_gate.results.provenance import RunInfo
@@ -78,7 +78,7 @@ class ComparisonSetup:
         done = [row for row in rows if row.status == "ok"]
         if self.basis != "same" or not done:
             return self
-        if self.run.panel == "fresh":
+        if met_others(self.run, self.bank):
             return replace(self, basis="fresh", is_own=True)
         again = recheck(done, self.run, self.bank)
         if again.equal or again.differing:
@@ -205,7 +205,8 @@ def compare(
         _scene(stratum, met, used, panel, gate, finding, parting.get(stratum)) for stratum in strata
     ]
     margins = margins_of(gate)
-    meets_starts = (basis == "same" or setup.is_own) and run.panel == "pinned"
+    is_own = basis == "same" or setup.is_own
+    meets_starts = is_own and not met_others(run, setup.bank)
     capped = over_the_cap(rows, met.left, gate)
     critical = sum(gate.tier(scene) == "critical" for scene, _ in setup.judged)
     alpha_pass = 1.0 - gate.confidence
@@ -269,7 +270,7 @@ def _control_drop(
         return None
     alone = replace(met, rows=met.control, control=None, left=met.control_left)
     bank = bank_of(setup.panel, setup.judged, "panel", "fresh")
-    basis: Basis = "fresh" if setup.run.panel == "fresh" else "panel"
+    basis: Basis = "fresh" if met_others(setup.run, setup.bank) else "panel"
     trials = numbers_of(alone, setup.judged, setup.panel, basis, bank)
     known = {place: index for index, place in enumerate(met.places(setup.judged).tolist())}
     seen = trials.at([known[place] for place in places])

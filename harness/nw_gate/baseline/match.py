@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from shlex import quote
-from typing import Any
+from typing import Any, Literal
 
 from nw_base.errors import IncomparableError, StoreError
 from nw_base.plural import plural
@@ -85,7 +85,7 @@ def saving(bank: BaselineResults, suite: str, policy: str, *options: str) -> str
 
 def _suite_faults(run: RunInfo, bank: BaselineResults) -> Iterable[str]:
     ours, theirs = key_of(run), bank.manifest.key
-    if ours.seed != theirs.seed and run.panel == "pinned":
+    if ours.seed != theirs.seed and run.panel == "pinned" and not bank.manifest.held_out:
         yield f"its seed is {ours.seed}, the baseline's {theirs.seed}"
     if ours.protocol != theirs.protocol:
         yield f"its protocol is {ours.protocol}, the baseline's {theirs.protocol}"
@@ -186,9 +186,14 @@ def basis_of(run: RunInfo, bank: BaselineResults, checked: str | None) -> tuple[
         )
     if panel is None and checked == "control":
         return "control", bank.panels[0]
-    if run.panel == "fresh":
+    if met_others(run, bank):
         return "fresh", panel or bank.panels[0]
     return "panel", panel or bank.panels[0]
+
+
+def met_others(run: RunInfo, bank: BaselineResults) -> bool:
+    """Return whether the run's trials are of other starts than the baseline's."""
+    return run.panel == "fresh" or key_of(run).seed != bank.manifest.key.seed
 
 
 def claim_of(run: RunInfo, bank: BaselineResults, basis: Basis, rounds: int, gate: Gate) -> Claim:
@@ -340,19 +345,25 @@ def _label(stratum: Stratum) -> str:
     return scene + "".join(f" {axis}={value!r}" for axis, value in cell)
 
 
-def fresh_seed(candidate: PolicyInfo, settings: Mapping[str, Any]) -> int:
+def fresh_seed(
+    candidate: PolicyInfo,
+    settings: Mapping[str, Any],
+    *,
+    purpose: Literal["fresh", "held-out"] = "fresh",
+) -> int:
     """Return the seed of the starts that only this candidate meets in a suite, 0 to 2^63 - 1.
 
-    It is the first 63 bits of sha256("fresh/<checkpoint digest>/<card digest>/<suite digest>"), the
-    digest being that of the suite with seed 0. So it cannot be chosen: a checkpoint has one fresh
-    seed set in a suite, whatever seed set is pinned there.
+    It is the first 63 bits of sha256("<purpose>/<checkpoint digest>/<card digest>/<suite digest>"),
+    the digest being that of the suite with seed 0. So it cannot be chosen: a checkpoint has one
+    fresh seed set in a suite, whatever seed set is pinned there.
 
     Args:
         candidate: who is judged.
         settings: of the suite that it is to meet, with any seed.
+        purpose: fresh for its own run, held-out for its baseline: the two have no start in common.
     """
     unseeded = digest_of_trials({**settings, "seed": 0})
-    text = f"fresh/{candidate.key}/{unseeded}"
+    text = f"{purpose}/{candidate.key}/{unseeded}"
     return int.from_bytes(sha256(text.encode()).digest()[:8], "big") >> 1
 
 

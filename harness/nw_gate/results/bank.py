@@ -96,6 +96,9 @@ class Manifest(_Part):
     panels: tuple[PanelInfo, ...] = Field(min_length=1)
     scores: tuple[str, ...] = ()
     """Names of the scores that its trials were measured by."""
+    held_out: bool = False
+    """Whether its starts are of a seed set of its own, which took no part in choosing its policy. A
+    run on the suite's seed set met other starts, and is compared as one that met fresh ones."""
 
 
 def key_of(run: RunInfo) -> BankKey:

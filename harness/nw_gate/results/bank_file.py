@@ -315,7 +315,14 @@ def _hint(name: str, suite: str, root: Path) -> str:
 
 
 def bank_of_run(
-    rows: Sequence[Row], run: RunInfo, *, name: str, card: str = "", by: str = "", note: str = ""
+    rows: Sequence[Row],
+    run: RunInfo,
+    *,
+    name: str,
+    card: str = "",
+    by: str = "",
+    note: str = "",
+    held_out: bool = False,
 ) -> BaselineResults:
     """Return the baseline that a finished run is: every start of its seed set has a result.
 
@@ -326,6 +333,7 @@ def bank_of_run(
         card: `BankPolicy.card`.
         by: `PanelInfo.by`.
         note: `Manifest.note`.
+        held_out: `Manifest.held_out`.
 
     Raises:
         TrialError: a trial has no result.
@@ -365,6 +373,7 @@ def bank_of_run(
             card=card,
         ),
         scores=tuple(run.scores),
+        held_out=held_out,
         panels=(
             PanelInfo(
                 machine=machine,

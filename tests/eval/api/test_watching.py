@@ -21,7 +21,9 @@ from nw_eval.api.reports import written
 from nw_eval.api.watching import checkpoints_in, training_step
 from nw_eval.cli.verbs.watch import checkpoint_line
 from nw_eval.engine.listener import NullListener
+from nw_eval.suite import load_suite
 from nw_eval.testing import FakeClock
+from nw_gate.results.bank_file import read_bank
 from nw_policies import load_bundle
 
 SUITE = """\
@@ -42,6 +44,7 @@ gate: {max_drop: 0.5}
 def training(tmp_path, monkeypatch):
     """The folder of a training, with the suite beside it."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(watching, "STARTS_OF_FEW", 6)  # Ten times as many where it counts.
     (tmp_path / "one.yaml").write_text(SUITE)
     folder = tmp_path / "training"
     folder.mkdir()
@@ -60,6 +63,10 @@ def bad(path):
         if array.dtype == np.float32:
             weights.CopyFrom(numpy_helper.from_array(np.zeros_like(array), weights.name))
     onnx.save(graph, path)
+
+
+def last_run(found):
+    return found.checkpoints[-1].run
 
 
 def watched(training, **settings):
@@ -105,6 +112,19 @@ def test_the_latest_comes_first_and_each_is_gated_against_the_best_before_it(tra
     assert (more.checkpoints[-1].verdict, more.checkpoints[-1].against) == ("REGRESSED", 2)
     assert more.exit_code == 1
     assert more.checkpoints[:3] == found.checkpoints
+    # The best was chosen by its run: its baseline is of other starts, and so is the comparison.
+    [file] = (found.folder / "baselines").rglob("*.parquet")
+    bank, suite = read_bank(file), load_suite("one.yaml")
+    assert bank.manifest.held_out
+    assert (bank.manifest.starts, bank.manifest.policy.checkpoint_digest) == (6, two.sha256)
+    assert bank.manifest.key.seed not in {suite.seed, 0}
+    verdict = api.judge(found.folder / last_run(more), baseline=str(file)).verdict
+    assert (verdict.against.basis, verdict.against.word) == ("fresh", "REGRESSED")
+    # The best's own run is compared with it, too: it met other starts.
+    own = api.judge(found.folder / two.run, baseline=str(file)).verdict
+    assert (own.against.is_own, own.against.word) == (True, "INCONCLUSIVE")
+    assert not api.check_baseline(file, suite="one.yaml", policy="go1-parkour",
+                                  checkpoint=training / "model_2.onnx").changes  # fmt: skip
     # The drop is of the trials that settled it, which the page and the line say.
     last = more.checkpoints[-1]
     assert 0 < last.drop_trials <= last.trials
