@@ -43,6 +43,8 @@ class SavedBaseline:
     run: Path | None = None
     """The folder of the run that its results are from: rows and logs; None where no trial was
     asked for, as the baseline had all of it."""
+    may_have_chosen: bool = False
+    """Whether that run is one of a training that was watched, and so may have chosen the policy."""
 
 
 @keywords_were(starts="trials", from_run="run")
@@ -124,7 +126,11 @@ def save_baseline(
         held_out=held_out,
     )
     ran = Path(run) if run is not None else place.work if place is not None else None
-    return replace(_written(file, earlier, found, renew=renew), run=ran)
+    return replace(
+        _written(file, earlier, found, renew=renew),
+        run=ran,
+        may_have_chosen=run is not None and {"training_run", "step"} <= info.labels.keys(),
+    )
 
 
 def _check_decided(wanted: dict[str, Any]) -> None:

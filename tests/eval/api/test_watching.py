@@ -19,6 +19,7 @@ from nw_eval import api
 from nw_eval.api import reports, watching
 from nw_eval.api.reports import written
 from nw_eval.api.watching import checkpoints_in, training_step
+from nw_eval.cli.verbs.baseline import saved_page
 from nw_eval.cli.verbs.watch import checkpoint_line
 from nw_eval.engine.listener import NullListener
 from nw_eval.suite import load_suite
@@ -130,6 +131,11 @@ def test_the_latest_comes_first_and_each_is_gated_against_the_best_before_it(tra
     assert 0 < last.drop_trials <= last.trials
     page = more.page.read_text(encoding="utf-8")
     assert (f" in {last.drop_trials}</td>" in page) == (last.drop_trials < last.trials)
+    assert "The best is chosen by its success here, which overstates it" in page
+    # A baseline of the run itself says that it may have been chosen by it.
+    saved = api.save_baseline("one.yaml", run=found.folder / two.run, root=Path("saved"))
+    assert saved.may_have_chosen
+    assert "note: this run is of a training that was watched" in saved_page(saved)
     assert checkpoint_line(replace(last, drop_trials=4, trials=9)).endswith(
         "against step 2 in the 4 trials that settled it · completed 0 of 9 trials"
     )

@@ -179,6 +179,8 @@ def _facts(shown: ShownBaseline) -> Iterator[str]:
     yield f"baseline   {clean(manifest.name)}"
     yield f"file       {clean(shown.file)}"
     yield f"suite      {clean(manifest.suite)}"
+    if manifest.held_out:
+        yield "starts     of a seed set of its own, which took no part in choosing the policy"
     yield f"policy     {clean(policy.name)} ({clean(digests)})"
     yield f"starts     {manifest.starts} in each of {plural(len(manifest.key.scenes), 'scene')}"
     yield f"mean       {bank_mean(bank):.3f}"
@@ -359,6 +361,12 @@ def _saved(saved: SavedBaseline) -> Iterator[str]:
     if saved.run is not None:
         run = str(saved.run)
         yield f"its rows and logs: {clean(run)}; a page of them: nw-eval report {clean(quote(run))}"
+    if saved.may_have_chosen:
+        yield (
+            "note: this run is of a training that was watched; if its success made you choose the "
+            "checkpoint, it overstates it: save the baseline with --policy, --checkpoint and "
+            "--held-out instead of --run"
+        )
 
 
 def _checked(checked: CheckedBaseline) -> Iterator[str]:
