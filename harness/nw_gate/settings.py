@@ -196,10 +196,15 @@ def tier_of(scene: str, tiers: Mapping[str, Tier]) -> Tier:
     return "supporting"
 
 
+_ROUNDS, _TRIALS = 20, 200
+"""Of each scene, and in all, at least: in one scene 20 trials let an equal policy pass in one of
+eight gates, 200 in six of seven (tests/gate/stats/bank/test_few_scenes.py)."""
+
+
 class Gate(Grown):
     """What a run must show to pass."""
 
-    came_later = ("validity", "claim", "scores")
+    came_later = ("validity", "claim", "scores", "rounds", "least_starts")
 
     success_rate: float | None = Field(
         None,
@@ -237,12 +242,21 @@ class Gate(Grown):
         description="Drop in one scene that is tolerated; a scene that regressed further is "
         "named, and a critical one alone makes the verdict REGRESSED.",
     )
-    rounds: int = Field(
-        20,
+    rounds: int | None = Field(
+        None,
         ge=1,
         le=10_000,
         description="Most trials of each scene against a baseline, on average: scene and start of "
-        "each trial are drawn at random. The run ends as soon as the verdict is settled.",
+        "each trial are drawn at random. The run ends as soon as the verdict is settled. If absent "
+        "20, and more in a suite of fewer than ten scenes: 200 trials in all, as far as they are "
+        "half of the baseline's starts.",
+    )
+    least_starts: int = Field(
+        30,
+        ge=1,
+        le=10_000,
+        description="Fewest starts a scene of a baseline that a claim about new starts rests on. "
+        "With fewer than 30 its errors are larger than it says.",
     )
     claim: Literal["fresh", "panel"] = Field(
         "fresh",
@@ -310,6 +324,19 @@ class Gate(Grown):
     def most_drop(self) -> float:
         """`max_drop`, or 0.10 where none is named."""
         return 0.10 if self.max_drop is None else self.max_drop
+
+    def rounds_for(self, scenes: int, starts: int | None = None) -> int:
+        """Return the most trials of each scene on average.
+
+        Args:
+            scenes: how many there are, each as often as it has cells of perturbations.
+            starts: of the baseline in each; None = any. The default beyond 20 is half of them at
+                most: with more trials the baseline's own sample decides too much.
+        """
+        if self.rounds is not None:
+            return self.rounds
+        wanted = max(_ROUNDS, -(-_TRIALS // max(1, scenes)))
+        return wanted if starts is None else min(wanted, max(_ROUNDS, starts // 2), starts)
 
     def tier(self, scene: str) -> Tier:
         """Return the tier of a scene."""

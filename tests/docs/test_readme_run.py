@@ -65,7 +65,7 @@ def test_the_regression_is_shown_alike_and_of_the_shipped_suite_and_baseline() -
     gate = load_suite("gaps").gate
     assert f"baseline go1-parkour {mean:.3f}, drop 0.332 " in text
     assert f", bar {gate.success_rate:g})" in text
-    assert f"in 16 of {16 * gate.rounds} trials · " in text
+    assert f"in 16 of {16 * gate.rounds_for(16)} trials · " in text
     # What stands in the table that explains it is in it.
     words = re.findall(r"^\| `([^`]+)` \|", START.read_text(encoding="utf-8"), re.MULTILINE)
     assert words[:1] == ["success 0.594"]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
 
-STARTS = 60
+STARTS, _STARTS_IN_ALL = 60, 400
 """M where it is unknown: three times the default `gate.rounds`, so a run draws a third at most."""
 
 
@@ -110,7 +110,8 @@ def save_baseline(
     file = _file(root, folder, name or own)
     earlier = _earlier(file, renew=renew)
     if place is not None:
-        starts = trials or (earlier.manifest.starts if earlier else STARTS)
+        scenes = len(place.plan.scenes) * len(place.plan.suite.perturb.cells)
+        starts = trials or (earlier.manifest.starts if earlier else starts_for(scenes))
         if earlier is not None and not renew and place.is_in(earlier, starts):
             return SavedBaseline(file=file, action="unchanged", bank=earlier)
         info, rows = _new_results(place.with_starts(starts), how)
@@ -189,6 +190,11 @@ def _earlier(file: Path, *, renew: bool) -> BaselineResults | None:
         if not renew:
             raise
         return None
+
+
+def starts_for(scenes: int) -> int:
+    """Return M of a new baseline: of few scenes more, twice the 200 trials of a gate in all."""
+    return max(STARTS, -(-_STARTS_IN_ALL // max(1, scenes)))
 
 
 def _written(

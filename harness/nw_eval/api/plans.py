@@ -132,7 +132,7 @@ def plan_of(
     if read is not None:
         against = read.result()
     policy = policy_info(bundle)
-    suite = _on_panel(request, suite, policy, against)
+    suite = _on_panel(request, suite, opened, policy, against)
     trials, shard = shard_of(
         expand(suite, opened, _drawn(request, suite, opened, policy, against)), request.part
     )
@@ -332,13 +332,22 @@ def _strata(suite: Suite, scenes: Sequence[Scene]) -> list[Stratum]:
     return [(scene.name, cell) for scene in scenes for cell in suite.perturb.cells]
 
 
-def _on_panel(request: Request, suite: Suite, policy: PolicyInfo, against: Against | None) -> Suite:
+def _on_panel(
+    request: Request,
+    suite: Suite,
+    scenes: Sequence[Scene],
+    policy: PolicyInfo,
+    against: Against | None,
+) -> Suite:
     """Return a suite with the seed of the seed set in use, and the trials that may run."""
     from nw_eval.suite import override
     from nw_gate.baseline.match import fresh_seed
 
     seed = fresh_seed(policy, suite.model_dump(by_alias=True)) if request.panel == "fresh" else None
-    rounds = suite.gate.rounds if against is not None and request.trials is None else None
+    rounds = None
+    if against is not None and request.trials is None:
+        known = None if request.panel == "fresh" else against.bank.manifest.starts
+        rounds = suite.gate.rounds_for(len(_strata(suite, scenes)), known)
     return override(suite, Request(seed=seed, trials=rounds))
 
 

@@ -256,7 +256,7 @@ def _only_bank(suite: str) -> Path:
 
 def _of_run(resolved: Plan, folder: Path) -> tuple[str, Outset]:
     """Return what a run is, in words, and what is known with it."""
-    from nw_eval.api.baselines_saved import STARTS
+    from nw_eval.api.baselines_saved import starts_for
     from nw_eval.api.saved_run import check_whole, saved_rows
     from nw_gate.baseline.power_forecast import outset_of_rows
     from nw_gate.results.provenance import read_run_info
@@ -268,7 +268,9 @@ def _of_run(resolved: Plan, folder: Path) -> tuple[str, Outset]:
     source = f"run {info.id} of {info.policy.name}"
     scenes = {name: scene.digest for name, scene in info.scenes.items()}
     _check(resolved, source, info.suite_digest, scenes)
-    return source, outset_of_rows(rows, resolved.suite.gate, STARTS)
+    return source, outset_of_rows(
+        rows, resolved.suite.gate, starts_for(len(scenes) * len(resolved.suite.perturb.cells))
+    )
 
 
 def _check(resolved: Plan, source: str, suite_digest: str, scenes: Mapping[str, str]) -> None:

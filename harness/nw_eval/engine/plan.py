@@ -6,7 +6,7 @@ And what a run of them would be, and about how long it would take (`Forecast`).
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from typing import TYPE_CHECKING
 
@@ -240,6 +240,9 @@ class Forecast:
     """Why no policy can reach PASS in it, a sentence for each reason; none where one can."""
     warnings: tuple[str, ...] = ()
     """What makes the verdict another one than its reader expects, a sentence each."""
+    power: str | None = None
+    """How its gate ends for an equal policy and for worse ones, by simulation; None without a
+    baseline, or where nothing can be dropped."""
     minutes: float
     """Of wall time; about what it takes at most, on a core of the benchmarks' class."""
 
@@ -270,6 +273,7 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
         baseline=None if plan.against is None else plan.against.info.name,
         obstacles=obstacles_of(plan),
         warnings=_warnings(plan),
+        power=_power(plan),
         minutes=minutes_of(trials.total(), plan, workers=workers),
     )
 
@@ -335,6 +339,26 @@ def _scores_it_lacks(plan: Plan, against: Against) -> tuple[str, ...]:
         for name, asked in plan.suite.gate.scores.items()
         if asked.max_drop is not None and name not in bank.manifest.scores
     )
+
+
+def _power(plan: Plan) -> str | None:
+    """Return what the gate against the baseline can tell apart with the trials of a plan."""
+    from nw_base.errors import IncomparableError
+    from nw_gate.baseline.power_forecast import in_a_sentence, outset_of_bank
+
+    against, gate = plan.against, plan.suite.gate
+    if against is None or plan.is_baseline:
+        return None
+    names = {scene.name for scene in plan.scenes}
+    panel = against.bank.panels[0]
+    panel = replace(panel, starts=tuple(x for x in panel.starts if x.scene in names))
+    judged = sum(gate.tier(scene.name) != "informational" for scene in plan.scenes)
+    budget = plan.suite.trials * judged * len(plan.suite.perturb.cells)
+    try:
+        outset = outset_of_bank(panel, gate, budget=budget, against=gate.claim)
+    except IncomparableError:
+        return None  # The run says why.
+    return in_a_sentence(outset.power_forecast())
 
 
 def _warnings(plan: Plan) -> tuple[str, ...]:

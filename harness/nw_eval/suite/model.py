@@ -281,7 +281,9 @@ class Suite(Grown):
     @property
     def content_digest(self) -> str:
         """Hex sha256 of everything that the suite says, gate and all."""
-        return digest_of(self.model_dump(by_alias=True))
+        said = self.model_dump(by_alias=True)
+        # A suite that says nothing of its rounds has the digest that it had when they were 20.
+        return digest_of({**said, "gate": {"rounds": 20, **said["gate"]}})
 
 
 def new_suite(settings: Mapping[str, Any], source: Source | None = None) -> Suite:

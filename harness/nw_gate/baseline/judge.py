@@ -28,7 +28,15 @@ from nw_gate.baseline.finding import (
     scores_of,
     strata_that_count,
 )
-from nw_gate.baseline.match import basis_of, check_match, claim_of, drawn_order, met_others, recheck
+from nw_gate.baseline.match import (
+    basis_of,
+    check_match,
+    check_starts,
+    claim_of,
+    drawn_order,
+    met_others,
+    recheck,
+)
 from nw_gate.baseline.power_forecast import Outset, about_more_trials, outset_of_bank
 from nw_gate.results.bank import Against, BaselineResults, Panel, Start, Stratum, score
 from nw_gate.results.provenance import RunInfo
@@ -79,10 +87,12 @@ class ComparisonSetup:
         if self.basis != "same" or not done:
             return self
         if met_others(self.run, self.bank):
+            check_starts(self.bank, self.gate, self.run)
             return replace(self, basis="fresh", is_own=True)
         again = recheck(done, self.run, self.bank)
         if again.equal or again.differing:
             return self
+        check_starts(self.bank, self.gate, self.run)
         return replace(self, basis="panel", is_own=True)
 
     @property

@@ -215,6 +215,8 @@ def claim_of(run: RunInfo, bank: BaselineResults, basis: Basis, rounds: int, gat
             fix=f"save them with `{renewing(run, bank, '--trials', str(needs))}`, or run fewer "
             "--trials",
         )
+    if basis in {"panel", "fresh"} and gate.claim == "fresh":
+        check_starts(bank, gate, run)
     if gate.claim == "fresh" or basis == "same":
         return "fresh"
     if is_drawn and run.drawn_from == has:
@@ -224,6 +226,21 @@ def claim_of(run: RunInfo, bank: BaselineResults, basis: Basis, rounds: int, gat
         f"all {has} of baseline {bank.manifest.name} on a machine that it knows",
         fix="write `claim: fresh`",
     )
+
+
+def check_starts(bank: BaselineResults, gate: Gate, run: RunInfo) -> None:
+    """Refuse a baseline whose sample is too small for a claim about new starts.
+
+    Raises:
+        IncomparableError: naming the command that saves more.
+    """
+    has, least = bank.manifest.starts, gate.least_starts
+    if has < least:
+        raise IncomparableError(
+            f"baseline {bank.manifest.name} has {plural(has, 'start')} in each scene; a claim "
+            f"about new starts needs {least}, or its errors are larger than they say",
+            fix=f"save them with `{renewing(run, bank, '--trials', str(least))}`",
+        )
 
 
 def is_baseline(policy: PolicyInfo, bank: BaselineResults) -> bool:

@@ -206,7 +206,7 @@ def _outset(
             fix="lower max_drop, or compare with a better policy",
         )
     rules = rules_of(gate, judged)
-    budget = min(gate.rounds, starts) * len(seen)
+    budget = min(gate.rounds_for(len(seen), starts), starts) * len(seen)
     return Outset(seen=seen, rules=rules, budget=budget, starts=starts, known=known)
 
 

@@ -395,7 +395,7 @@ def forecast_scores(
         )
         known = Bank.of(values).fresh()
         rng = np.random.Generator(np.random.PCG64(len(found)))
-        total = gate.rounds * len(judged)
+        total = gate.rounds_for(len(judged), bank.manifest.starts) * len(judged)
         points: list[tuple[float, float, float]] = []
         changes = sorted({asked.tolerated, *(share * asked.max_drop for share in _CHANGES)})
         for change in changes:

@@ -41,7 +41,7 @@ seed: 5
 episode: {duration: 0.04}
 scenes: [flat/carpet_room]
 record: none
-gate: {max_drop: 0.2, baseline: go1-parkour, rounds: 2}
+gate: {max_drop: 0.2, baseline: go1-parkour, rounds: 2, least_starts: 1}
 """
 
 

@@ -35,7 +35,7 @@ trials: 30
 seed: 7
 episode: {duration: 6.0}
 scenes: [flat/carpet_room, hurdles/one_low_carpet]
-gate: {max_drop: 0.2, rounds: 20}
+gate: {max_drop: 0.2, rounds: 20, least_starts: 1}
 """
 
 

@@ -272,7 +272,7 @@ def test_a_bank_is_saved_for_a_review_and_passes_once_it_is_there(
         "carry_out",
         lambda plan, how, **words: carry_out(plan, replace(how, in_process=True), **words),
     )
-    suite(gate="gate: {max_drop: 0.1, rounds: 1}")
+    suite(gate="gate: {max_drop: 0.1, rounds: 1, least_starts: 1}")
     arguments = ("tiny.yaml", "-v", "-rfs", "--nw-update-baseline")
     first = run(*arguments)
     first.assert_outcomes(skipped=1, failed=1)

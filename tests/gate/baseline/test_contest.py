@@ -49,7 +49,7 @@ def suite_with(gate: str) -> str:
     return (
         "nw-eval: 1\nname: quick\nrobot: go1\npolicy: go1-parkour\ntrials: 4\nseed: 5\n"
         f"scenes: [{', '.join(SCENES)}]\nrecord: none\n"
-        f"gate: {{rounds: 15, {gate}}}\n"
+        f"gate: {{rounds: 15, least_starts: 1, {gate}}}\n"
     )
 
 

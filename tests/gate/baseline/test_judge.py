@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from nw_gate.results.provenance import RunInfo
 
 
-GATE = Gate(max_drop=0.1, scene_drop=0.1)
+GATE = Gate(max_drop=0.1, scene_drop=0.1, least_starts=1)
 WAYS = {"drawn_from": 60}
 STRETCH = {"suppress_health_check": [HealthCheck.function_scoped_fixture], "deadline": None}
 
@@ -632,3 +632,20 @@ def test_rows_that_are_not_of_the_run_are_refused(make_run, make_bank, drawn_row
         compare([replace(rows[0], arm="baseline")], run, against, GATE)
     with pytest.raises(StoreError, match="the run has no b"):
         compare([replace(rows[0], scene="b")], run, against, GATE)
+
+
+def test_a_claim_about_new_starts_needs_a_sample_of_them_and_says_which_command_saves_it(
+    make_run, make_bank, make_against
+):
+    drawn = make_run(["a"], 20, drawn_from=20)
+    few = make_against(make_bank(drawn, {"a": [1.0] * 20}))
+    with pytest.raises(IncomparableError) as caught:
+        compare([], drawn, few, Gate())
+    assert "has 20 starts in each scene; a claim about new starts needs 30" in str(caught.value)
+    assert "nw-eval baseline save hurdles --policy go1-act-rgb --trials 30" in str(caught.value)
+    enough = make_run(["a"], 20, drawn_from=30)
+    known = make_against(make_bank(enough, {"a": [1.0] * 30}))
+    assert compare([], enough, known, Gate()).claim == "fresh"
+    # Of the panel alone it says what it says.
+    alone = Gate(claim="panel")
+    assert compare([], drawn, few, alone).claim == "panel"

@@ -63,11 +63,15 @@ def forecast_page(forecast: Forecast) -> str:
         ),
         f"trials    {forecast.trials} of {duration:g} s: {count}",
         *(f"          {scene.name:<{width}}  {scene.digest[:16]}" for scene in scenes),
+        *([] if forecast.power is None else [f"power     {forecast.power.removeprefix(_POWER)}"]),
         *(f"no PASS   {reason}" for reason in forecast.obstacles),
         *(f"warning   {sentence}" for sentence in forecast.warnings),
         f"expect    at most about {forecast.minutes:.1f} minutes with --workers {forecast.workers}",
     ]
     return "\n".join(lines)
+
+
+_POWER = "Power at this size: "
 
 
 def _bar(gate: Gate) -> str:
