@@ -287,6 +287,26 @@ class Comparison:
         """Whether further trials would change nothing."""
         return self.word != "INCONCLUSIVE"
 
+    @property
+    def known_low(self) -> float | None:
+        """The low end of `interval`; None where it is the end of the range, and says nothing."""
+        if self.interval is None:
+            return None
+        least = -1.0 if self.basis == "control" else self.baseline - 1.0
+        return self.interval.low if self.interval.low > least + _NEXT_TO else None
+
+    @property
+    def known_high(self) -> float | None:
+        """The high end of `interval`; None where it is the end of the range, and says nothing."""
+        if self.interval is None:
+            return None
+        most = 1.0 if self.basis == "control" else self.baseline
+        return self.interval.high if self.interval.high < most - _NEXT_TO else None
+
+
+_NEXT_TO = 5e-4
+"""What is printed with three digits as the end of a range is that end."""
+
 
 def percent_sure(alpha: float) -> str:
     """Return how sure one is of what errs with probability `alpha`, in words."""

@@ -125,12 +125,16 @@ def _against(found: Comparison | None, *, intervals: bool) -> list[str]:
     if found.is_own:
         beside = " (the same policy, other bits here)"
     drop = f"baseline {found.bank}{beside} {found.baseline:.3f}, drop {found.drop:z.3f}"
-    if intervals:
-        sure_low, sure_high = percent_sure(found.alpha_regr), percent_sure(found.alpha_pass)
-        drop += (
-            f" ({sure_low} lower bound {found.interval.low:z.3f}, {sure_high} upper bound "
-            f"{found.interval.high:z.3f})"
+    ends = [
+        f"{percent_sure(alpha)} {name} bound {end:z.3f}"
+        for name, alpha, end in (
+            ("lower", found.alpha_regr, found.known_low),
+            ("upper", found.alpha_pass, found.known_high),
         )
+        if end is not None
+    ]
+    if intervals and ends:
+        drop += f" ({', '.join(ends)})"
     return [f"{drop} in {found.trials} of {plural(found.budget, 'trial')}"]
 
 
@@ -249,7 +253,9 @@ def _errors(found: Comparison) -> str:
         f"A drop of {found.max_drop:g} or more against the baseline passes with probability at "
         f"most {false_pass}, and a drop of {found.tolerate:g} or less is flagged by the mean "
         f"with probability at most {false_alarm}. Both hold at any stopping time, and so does the "
-        f"interval (lower end {false_alarm}, upper end {false_pass}). All tests of this gate "
+        f"interval (lower end {false_alarm}, upper end {false_pass}). The estimated drop is of the "
+        "trials up to one that the results chose, which biases it away from zero; the bounds have "
+        "no such bias. All tests of this gate "
         f"together report REGRESSED of a policy that is good enough (above the bar, dropped by "
         f"{found.tolerate:g} at most, in no scene by more than {found.scene_drop:g}) with "
         f"probability at most {_percent(found.false_alarm)}. The verdict is on this checkpoint, "

@@ -417,9 +417,10 @@ def _mean(found: Comparison) -> str:
             f"{worst} than {name} ({at_most} confidence) {in_trials}: a drop of "
             f"{found.max_drop:g} is excluded"
         )
-    span = (
-        f"at least {drops.low:z.3f} ({at_least} confidence), at most {drops.high:z.3f} ({at_most})"
-    )
+    low, high = found.known_low, found.known_high
+    ends = [] if low is None else [f"at least {low:z.3f} ({at_least} confidence)"]
+    ends += [] if high is None else [f"at most {high:z.3f} ({at_most})"]
+    span = ", ".join(ends) or "of any size"
     if found.mean_regressed:
         return f"mean success regressed from {name}: {span} worse {in_trials}"
     change = f"dropped by {found.drop:z.3f} from {name}"
