@@ -83,7 +83,9 @@ def not_comparable(_: pytest.MonkeyPatch) -> list[str]:
 
 
 def invalid(_: pytest.MonkeyPatch) -> list[str]:
-    suite = write(trials=6, gate="gate: {success_rate: 0.5, max_drop: 0.1, rounds: 2, least_starts: 1}")
+    suite = write(
+        trials=6, gate="gate: {success_rate: 0.5, max_drop: 0.1, rounds: 2, least_starts: 1}"
+    )
     kept = api.run(suite, out=Path("kept"))
     bank = bank_of_run(kept.rows, kept.info, name="stand", card="stand")
     # As if standing had got there, by the same bits, on some other machine.
