@@ -15,16 +15,15 @@ from numpy.typing import NDArray
 from nw_base import errors
 from nw_base.errors import NwEvalError, TrialError
 from nw_base.memory import unpack
-from nw_policies.cards.networks import InputSpec
+from nw_policies.cards.feeding import InputSpec
 from nw_policies.line import PolicyLine, raised_there
 from nw_policies.planned import read_planned, read_specs
 from nw_policies.policy import Observation, checked_action
 from nw_policies.policy_process import ACT, HEADER, layout, views
 
 if TYPE_CHECKING:
-    from nw_policies.bundle import Bundle
+    from nw_policies.bundle import Bundle, PlannedFile
     from nw_policies.cards.joint_control import Action
-    from nw_policies.planned import PlannedFile
 
 _PIECE = 2**16
 

@@ -29,7 +29,9 @@ from nw_policies.computes import computed_digest
 from nw_scenes.robots import get_robot
 
 if TYPE_CHECKING:
-    from nw_policies.planned import PlannedFile
+    from nw_base.memory import Arrays
+    from nw_policies.cards.feeding import InputSpec
+    from nw_policies.executor import Program
     from nw_scenes.hub.reference import Fetched
 
 SIZE_LIMIT = 2**30
@@ -60,6 +62,16 @@ class Weights(NamedTuple):
 
     path: Path
     sha256: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlannedFile:
+    """What a file of weights computes, as programs; as `RecordedFile`."""
+
+    inputs: tuple[InputSpec, ...]
+    """What the file declares to take."""
+    parts: tuple[tuple[int, Program], ...]
+    first: Arrays
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,9 +11,9 @@ from pydantic import Field
 
 from nw_base.errors import TrialError
 from nw_base.memory import Arrays, pack
+from nw_policies.cards.feeding import InputSpec
 from nw_policies.cards.joint_control import Action
 from nw_policies.cards.model import CardModel
-from nw_policies.cards.networks import InputSpec
 from nw_policies.policy import Observation, OpenNetwork, checked_action, unpacked
 
 Array = NDArray[np.float64]

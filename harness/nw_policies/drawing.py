@@ -17,8 +17,8 @@ from nw_policies.policy import unfitting
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from nw_policies.cards.feeding import InputSpec
     from nw_policies.cards.joint_control import Action
-    from nw_policies.cards.networks import InputSpec
     from nw_policies.policy import Observation, Policy
 
 _MARK = b"nw-eval torch generator\0"

@@ -11,14 +11,9 @@ from nw_base.errors import NotFiniteError, TrialError
 from nw_base.memory import pack
 from nw_base.plural import plural
 from nw_policies.bundle import Bundle
+from nw_policies.cards.feeding import InputSpec, feeding_order
 from nw_policies.cards.joint_control import Action
-from nw_policies.cards.networks import (
-    InputSpec,
-    NetworkAdapter,
-    NetworkOutput,
-    feeding_order,
-    input_parts,
-)
+from nw_policies.cards.networks import NetworkAdapter, NetworkOutput, input_parts
 from nw_policies.cards.observations import selected_indices
 from nw_policies.planned import PlannedNetwork
 from nw_policies.policy import Observation, OpenNetwork, Policy, Wanted, unfitting, unpacked

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from nw_base.clean import clean
 from nw_base.errors import PolicyError, TrialError, nearest
 from nw_base.memory import Arrays, pack
-from nw_policies.bundle import Bundle
-from nw_policies.cards.networks import InputSpec
+from nw_policies.bundle import Bundle, PlannedFile
+from nw_policies.cards.feeding import InputSpec
 from nw_policies.executor import RecordedFile, UnsupportedError
 from nw_policies.networks.onnx_graph import open_session, state_pairs
-from nw_policies.planned import PlannedFile, unsupported
+from nw_policies.planned import unsupported
 from nw_policies.policy import (
     ActingNetwork,
     InputAssembler,

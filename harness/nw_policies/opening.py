@@ -36,8 +36,9 @@ from nw_base.errors import (
 from nw_base.files.importable import importable
 from nw_policies.asked import ApartPolicy, code_refused, files_over
 from nw_policies.bundle import Bundle, read_options
+from nw_policies.cards.feeding import InputSpec
 from nw_policies.cards.joint_control import Action
-from nw_policies.cards.networks import InputSpec, is_built_in
+from nw_policies.cards.networks import is_built_in
 from nw_policies.chunks import ActOptions, ChunkPolicy
 from nw_policies.drawing import DrawingPolicy
 from nw_policies.line import PolicyLine, current_line

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from nw_base.clean import clean
 from nw_base.errors import PolicyError, TrialError
 from nw_base.memory import Arrays, pack, unpack
-from nw_policies.bundle import Bundle, senses_by_code
+from nw_policies.bundle import Bundle, PlannedFile, senses_by_code
+from nw_policies.cards.feeding import InputSpec
 from nw_policies.cards.joint_control import Action
-from nw_policies.cards.networks import InputSpec
 from nw_policies.executor import NEXT, Program
 from nw_policies.policy import (
     InputAssembler,
@@ -52,16 +52,6 @@ def depends_on(bundle: Bundle) -> str:
     if card.adapter == "remote":
         return "its server"
     return " and ".join(sorted({_RUNTIMES.get(adapter, "torch") for adapter in card.adapters}))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PlannedFile:
-    """What a file of weights computes, as programs; as `RecordedFile`."""
-
-    inputs: tuple[InputSpec, ...]
-    """What the file declares to take."""
-    parts: tuple[tuple[int, Program], ...]
-    first: Arrays
 
 
 def packed(files: Mapping[str, PlannedFile]) -> bytes:

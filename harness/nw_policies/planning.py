@@ -6,11 +6,12 @@ from typing import Any, Protocol, runtime_checkable
 
 from nw_base.clean import clean
 from nw_base.errors import NwEvalError
-from nw_policies.cards.networks import InputSpec
+from nw_policies.bundle import PlannedFile
+from nw_policies.cards.feeding import InputSpec
 from nw_policies.drawing import DrawingPolicy
 from nw_policies.executor import RecordedFile, UnsupportedError
 from nw_policies.fed_policy import FedPolicy
-from nw_policies.planned import PlannedFile, unsupported
+from nw_policies.planned import unsupported
 from nw_policies.policy import Observation, Policy
 
 

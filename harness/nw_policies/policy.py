@@ -30,8 +30,8 @@ from nw_base.memory import Arrays, Memory, unpack
 from nw_policies.bundle import Bundle
 from nw_policies.cards.card import Card
 from nw_policies.cards.control import LowPass
+from nw_policies.cards.feeding import InputSpec, resolve_inputs
 from nw_policies.cards.joint_control import Action, JointControl
-from nw_policies.cards.networks import InputSpec, resolve_inputs
 from nw_policies.policy_process import FaultError, all_finite, as_action
 
 __all__ = ["Observation", "Policy", "all_finite", "checked_action", "raised"]

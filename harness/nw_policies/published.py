@@ -39,8 +39,8 @@ from torch import Tensor
 from nw_base.errors import PolicyError, TrialError
 from nw_base.memory import pack
 from nw_policies.bundle import Bundle, NoOptions, read_options
+from nw_policies.cards.feeding import InputSpec
 from nw_policies.cards.model import CardModel
-from nw_policies.cards.networks import InputSpec
 from nw_policies.chunks import ActOptions, ChunkPolicy
 from nw_policies.executor import Node, RecordedFile
 from nw_policies.networks.act import Act

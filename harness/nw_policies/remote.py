@@ -39,8 +39,8 @@ from nw_base.clean import clean
 from nw_base.errors import PolicyError, PrerequisiteError, ServerError, TrialError
 from nw_policies.asked import AskedPolicy, Served
 from nw_policies.bundle import NOTHING, Bundle, read_options
+from nw_policies.cards.feeding import InputSpec
 from nw_policies.cards.model import CardModel
-from nw_policies.cards.networks import InputSpec
 
 try:
     import msgpack

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
     from nw_policies.bundle import Bundle
-    from nw_policies.cards.networks import InputSpec
+    from nw_policies.cards.feeding import InputSpec
     from nw_policies.policy import Policy
 
 

@@ -17,8 +17,8 @@ from torch import Tensor
 from nw_base.errors import PolicyError, TrialError
 from nw_base.memory import pack
 from nw_policies.bundle import Bundle, NoOptions, read_options
+from nw_policies.cards.feeding import InputSpec
 from nw_policies.cards.joint_control import Action
-from nw_policies.cards.networks import InputSpec
 from nw_policies.executor import RecordedFile
 from nw_policies.line import check_program
 from nw_policies.networks.exported import ExportedGraph

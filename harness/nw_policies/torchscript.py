@@ -23,7 +23,8 @@ from nw_base.errors import PolicyError, TrialError, nearest
 from nw_base.memory import pack
 from nw_base.plural import plural
 from nw_policies.bundle import Bundle
-from nw_policies.cards.networks import Feedback, InputSpec, Recurrent, listed_inputs
+from nw_policies.cards.feeding import InputSpec
+from nw_policies.cards.networks import Feedback, Recurrent, listed_inputs
 from nw_policies.executor import RecordedFile, UnsupportedError
 from nw_policies.line import check_program
 from nw_policies.networks.recording import numbered, record, recorded_file

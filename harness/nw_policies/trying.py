@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from nw_base.clean import clean
 from nw_base.errors import NotFiniteError, NwEvalError, PolicyError
 from nw_policies.bundle import Bundle
-from nw_policies.cards.networks import InputSpec, shape_problems, sized
+from nw_policies.cards.feeding import InputSpec, shape_problems, sized
 from nw_policies.drawing import DrawingPolicy
 from nw_policies.fed_policy import FedPolicy
 from nw_policies.line import current_line

@@ -42,7 +42,7 @@ from nw_policies.networks.parkour import (
 )
 from nw_sim.probe.recording import ThisBundle
 from nw_sim.rollout.job import StageClock, TrialJob
-from nw_sim.rollout.trial import open_trial
+from nw_sim.rollout.opening import open_trial
 
 PATH_TARGET = 60.0
 """Microseconds of a control step beside network and rays."""

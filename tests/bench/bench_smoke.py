@@ -21,7 +21,7 @@ from nw_gate.results.request import Request
 from nw_places.bake.generate import generate
 from nw_policies import load_bundle
 from nw_sim.catalogue import match_scenes
-from nw_sim.rollout import trial as rollout_trial
+from nw_sim.rollout import opening
 from nw_sim.rollout.job import TrialJob
 from nw_sim.rollout.library import Library
 from nw_sim.rollout.trial import run_trial
@@ -78,7 +78,7 @@ def main():
         def plain(scene, *_how):
             return PlainRenderer(gaussians[scene.name])
 
-        with patch.object(rollout_trial, "_open_renderer", plain):
+        with patch.object(opening, "_open_renderer", plain):
             reference, same = trials_per_minute(jobs, library)
     assert same == steps, "the renderer changed the trials of a policy that sees none of it"
     print("\nsmoke suite, one process, every image kept: trials a minute")

@@ -16,7 +16,7 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from nw_base.files.shipped import shipped
-from nw_eval.engine.provenance import policy_info
+from nw_eval.engine.identity import policy_info
 from nw_gate.results.provenance import PolicyInfo
 from nw_policies import load_bundle
 from nw_policies.computes import computed_digest

@@ -16,8 +16,9 @@ import pytest
 import nw_eval
 from nw_base.errors import PolicyError, TrialError
 from nw_policies import load_bundle, open_policy
+from nw_policies.bundle import PlannedFile
 from nw_policies.line import line_to, trusting
-from nw_policies.planned import PlannedFile, packed, read_planned
+from nw_policies.planned import packed, read_planned
 from nw_policies.planning import plan_policy
 from nw_sim.rollout.confined.access import policy_rules
 from nw_sim.rollout.confined.start import PolicyProcess

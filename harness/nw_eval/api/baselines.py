@@ -143,7 +143,8 @@ class Here:
 
     def held_out(self) -> Here:
         """Return the same with starts of a seed set of its own, by its policy and the suite."""
-        from nw_eval.engine.provenance import policy_info, run_info
+        from nw_eval.engine.identity import policy_info
+        from nw_eval.engine.provenance import run_info
         from nw_eval.suite import expand, override
         from nw_gate.baseline.match import fresh_seed
         from nw_gate.results.bank import key_of

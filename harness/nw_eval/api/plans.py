@@ -92,10 +92,10 @@ def plan_of(
     Raises:
         IncomparableError: the baseline does not hold for it.
     """
+    from nw_eval.engine.identity import policy_info
     from nw_eval.engine.order import shard_of
     from nw_eval.engine.plan import Plan
     from nw_eval.engine.prepare import check_splats
-    from nw_eval.engine.provenance import policy_info
     from nw_eval.suite import expand, override, with_robot
     from nw_eval.suite.model import plugin_faults
 
@@ -244,9 +244,9 @@ def baseline_plan(plan: Plan, bundle: Bundle) -> Plan:
     Raises:
         UsageError: it needs images of a scene that has no splat.
     """
+    from nw_eval.engine.identity import policy_info
     from nw_eval.engine.plan import DrawnOrder
     from nw_eval.engine.prepare import check_splats
-    from nw_eval.engine.provenance import policy_info
     from nw_eval.suite import expand, override
 
     check_splats(bundle.card, plan.scenes)
@@ -281,9 +281,9 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
     Raises:
         IncomparableError: the baseline has fewer starts than are to run again.
     """
+    from nw_eval.engine.identity import policy_info
     from nw_eval.engine.order import draw
     from nw_eval.engine.plan import DrawnOrder
-    from nw_eval.engine.provenance import policy_info
     from nw_eval.suite import expand, override
     from nw_gate.baseline.match import draw_rounds
     from nw_gate.results.provenance import candidate_in, recheck_key, rounds_key

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 from nw_base.plugins import SPLAT_FORMATS, code_named, identity_of, key_of
 from nw_base.plural import plural
+from nw_eval.engine.identity import engine_of
 from nw_eval.engine.machine import worker_count
 from nw_eval.engine.order import in_order
 from nw_eval.engine.prepare import needs_splats
-from nw_eval.engine.provenance import engine_of
 from nw_eval.suite import suite_yaml
 from nw_gate.results.bank import machine_in
 from nw_sim.rollout.job import TrialJob, kernels_of
@@ -448,7 +448,7 @@ def obstacles_among_equals(
 
 def _whole_order(plan: Plan, against: Against) -> list[DrawnStart]:
     """Return the order of a plan with as many trials as there can be."""
-    from nw_eval.engine.provenance import policy_info
+    from nw_eval.engine.identity import policy_info
     from nw_gate.baseline.match import draw_fresh, draw_trials
 
     suite, most = plan.suite, against.bank.manifest.starts

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import platform
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from nw_base.confinement import Fence, offered
-from nw_base.plugins import code_named, version_named
 from nw_base.plural import plural
 from nw_base.words import Backend
-from nw_eval.engine.machine import cpu_kind
+from nw_eval.engine.identity import engine_of, fetched_info, policy_info, renderer_name
 from nw_gate.results.journal import JournalHeader
 from nw_gate.results.provenance import (
-    FetchedInfo,
-    PolicyInfo,
     RunInfo,
     SceneInfo,
     code_info,
     library_versions,
     machine_info,
-    rows_code_digest,
     usable_cores,
 )
 from nw_places.entries import parted
@@ -31,11 +25,8 @@ from nw_places.splits import split_of
 from nw_policies.bundle import senses_by_code
 from nw_policies.cards import mounted_robot
 from nw_policies.cards.card import LEFT_OUT
-from nw_policies.executor import IDENTITY
-from nw_policies.planned import depends_on
 from nw_scenes.folder import FileSplat
 from nw_scenes.neverwhere import reference_path
-from nw_scenes.ray_tree import IDENTITY as RAYS
 from nw_scenes.robots import get_robot
 from nw_sim.catalogue import is_built_in, is_meant
 from nw_sim.rendering import PUBLISHED
@@ -46,18 +37,10 @@ if TYPE_CHECKING:
     from nw_eval.engine.how import How
     from nw_eval.engine.plan import Plan
     from nw_gate.results.run_folder import RunFolder
-    from nw_policies import Bundle
     from nw_policies.cards import Card
     from nw_scenes.scene import Scene
     from nw_sim.catalogue import FoundScene
     from nw_sim.rendering import Rendering
-
-_CHANGING_BITS = ("mujoco", "numpy", "onnxruntime", "torch", "numba")
-"""Libraries whose versions make bits differ between runs of the same trials."""
-
-
-_OF_NATIVE = ("onnxruntime", "torch", "cpu")
-"""What says nothing where nw-eval runs the networks."""
 
 
 def now() -> str:
@@ -92,7 +75,7 @@ def run_info(
         suite_digest=suite.digest,
         scores={**{x.name: x for x in declared_by(suite.task)}, **suite.measured},
         policy=policy_info(plan.bundle),
-        robot_fetched=None if plan.robot_folder is None else _fetched(plan.robot_folder),
+        robot_fetched=None if plan.robot_folder is None else fetched_info(plan.robot_folder),
         own_policy=plan.own_policy,
         scenes=_scene_infos(plan),
         left_out=plan.left_out,
@@ -102,7 +85,7 @@ def run_info(
         shard=plan.shard,
         baseline=None if plan.against is None else plan.against.info,
         workers=usable_cores() if workers is None else workers,
-        renderer=_renderer(plan.render) + _pictures(suite.render) + _through_lenses(plan),
+        renderer=renderer_name(plan.render) + _pictures(suite.render) + _through_lenses(plan),
         fence=fence_of(
             plan.bundle.card.adapter,
             code=plan.request.allow_code and senses_by_code(plan.bundle.card),
@@ -126,51 +109,6 @@ def journal_header(plan: Plan) -> JournalHeader:
         policy_digest=plan.bundle.digest,
         scene_digests={scene.name: scene.digest for scene in plan.scenes},
         engine=engine_of(plan.render, plan.suite.plugins, plan.bundle.card),
-    )
-
-
-def engine_of(
-    render: Backend, plugins: Iterable[str] = (), card: Card | None = None
-) -> dict[str, str]:
-    """Return what makes bits differ between runs of the same trials.
-
-    ONNX Runtime, torch and the kind of processor do, unless nw-eval runs all networks of a card:
-    then results are of one kind on an architecture, for which MuJoCo is built.
-
-    Args:
-        render: the splat renderer.
-        plugins: what packages bring along, as `Suite.plugins` names it. Their code counts beside
-            their version, which may not tell it apart.
-        card: of the policy; None = of any.
-    """
-    versions = library_versions()
-    found = {
-        **{name: versions[name] for name in _CHANGING_BITS if name in versions},
-        "renderer": _renderer(render),
-        "rays": RAYS,
-        "cpu": cpu_kind(),
-        "code": rows_code_digest()[:16],
-        **{key: f"{version_named(key)} {code_named(key)[:16]}" for key in plugins},
-    }
-    if card is None or senses_by_code(card) or not (card.is_planned or card.adapter == "zero"):
-        return found
-    for name in _OF_NATIVE:
-        found.pop(name, None)
-    return {**found, "networks": IDENTITY, "architecture": platform.machine()}
-
-
-def policy_info(bundle: Bundle) -> PolicyInfo:
-    """Return what run.json says of a policy."""
-    return PolicyInfo(
-        name=bundle.name,
-        adapter=bundle.card.adapter,
-        card_digest=bundle.digest,
-        checkpoint_digest=bundle.checkpoint_digest,
-        computes=bundle.computes,
-        card="" if bundle.card_path is None else bundle.reference,
-        origin="" if bundle.checkpoint is not None else bundle.origin,
-        depends_on=depends_on(bundle),
-        fetched=None if bundle.card_path is None else _fetched(bundle.card_path),
     )
 
 
@@ -214,7 +152,7 @@ def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:
             task=found.scene.task,
             trials=trials[found.scene.name],
             split=split_for(plan.bundle.card, found),
-            fetched=_fetched(reference_path(found.reference)),
+            fetched=fetched_info(reference_path(found.reference)),
             **(_marks(found.scene) if plan.renders else {}),
         )
         for found in plan.found
@@ -229,22 +167,6 @@ def _marks(scene: Scene) -> dict[str, Any]:
 
     store = open_store(scene.splat_store())
     return {"rasterize_mode": store.rasterize_mode, "projection": store.projection}
-
-
-def _fetched(path: Path) -> FetchedInfo | None:
-    """Return what a policy, a scene or a robot was fetched as, if it was."""
-    from nw_scenes.hub.reference import origin_of
-
-    origin = origin_of(path)
-    if origin is None:
-        return None
-    return FetchedInfo(
-        reference=origin.reference, revision=origin.revision, files=dict(origin.files)
-    )
-
-
-def _renderer(render: Backend) -> str:
-    return f"{render} gsplat-1.5"
 
 
 def _pictures(rendering: Rendering) -> str:

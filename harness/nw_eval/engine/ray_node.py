@@ -71,7 +71,8 @@ def facts(render: Backend, *, card: Card, code: bool, plugins: Mapping[str, str]
         code: as for `fence_of`.
         plugins: the run's `Plan.plugins`, of which a node may have others.
     """
-    from nw_eval.engine.provenance import engine_of, fence_of
+    from nw_eval.engine.identity import engine_of
+    from nw_eval.engine.provenance import fence_of
 
     return {
         "nw-eval": __version__,

@@ -33,8 +33,8 @@ from nw_sim.rollout.confined.start import PolicyProcess
 from nw_sim.rollout.episode import carry_over
 from nw_sim.rollout.job import StageClock
 from nw_sim.rollout.library import Library
+from nw_sim.rollout.opening import OpenTrial, open_trial
 from nw_sim.rollout.perturbed import unfelt
-from nw_sim.rollout.trial import OpenTrial, open_trial
 from nw_splat.files import read_splat
 from nw_splat.gaussians import ARRAYS, SH0, Gaussians, quaternions, transformed
 from nw_splat.store import FORMAT, compile_store

@@ -48,7 +48,8 @@ class Pair:
     def _drive(self, job: TrialJob, library: Library) -> TrialResult:
         from nw_learn.student.trajectory import Watcher
         from nw_sim.rollout.job import StageClock
-        from nw_sim.rollout.trial import ended, open_trial
+        from nw_sim.rollout.opening import open_trial
+        from nw_sim.rollout.trial import ended
 
         assert job.mcap is not None, "that is where the trajectory goes"
         clock = StageClock()

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from nw_policies import Bundle, Observation
     from nw_sim.rollout.episode import Decision
     from nw_sim.rollout.library import Library
-    from nw_sim.rollout.trial import OpenTrial
+    from nw_sim.rollout.opening import OpenTrial
     from nw_sim.sensors.sensor import Sensor
 
 # What a damaged file may cause in the library that reads it.

@@ -4,6 +4,7 @@
 """
 
 from nw_policies.cards.card import Card
+from nw_policies.cards.feeding import InputSpec
 from nw_policies.cards.joint_control import (
     Action,
     JointControl,
@@ -13,7 +14,6 @@ from nw_policies.cards.joint_control import (
     physics_steps,
 )
 from nw_policies.cards.load import load_card
-from nw_policies.cards.networks import InputSpec
 
 __all__ = [
     "Action",

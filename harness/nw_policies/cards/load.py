@@ -29,6 +29,7 @@ from nw_base.files.yaml_file import (
     validation_problems,
 )
 from nw_policies.cards.card import Card
+from nw_policies.cards.feeding import feeding_order, way_back
 from nw_policies.cards.joints import (
     PerJoint,
     joint_actions,
@@ -38,13 +39,7 @@ from nw_policies.cards.joints import (
     short_name,
 )
 from nw_policies.cards.model import is_whole
-from nw_policies.cards.networks import (
-    feeding_order,
-    input_parts,
-    listed_inputs,
-    recurrent_fault,
-    way_back,
-)
+from nw_policies.cards.networks import input_parts, listed_inputs, recurrent_fault
 from nw_policies.cards.observations import (
     DepthObservation,
     ProprioObservation,

@@ -17,7 +17,7 @@ import torch
 from nw_policies.executor import UnsupportedError
 
 if TYPE_CHECKING:
-    from nw_policies.networks.recording import Recorder
+    from nw_policies.networks.values import Values
 
 MADE = frozenset(
     {
@@ -40,7 +40,7 @@ EXACT = frozenset(
 )  # fmt: skip
 """What has the same bits on every processor: numbers that move, or one operation of IEEE 754."""
 
-Rule = Callable[["Recorder", Any, Sequence[Any]], Any]
+Rule = Callable[["Values", Any, Sequence[Any]], Any]
 RULES: dict[str, Rule] = {}
 _INT_MIN = -(2**63)
 
@@ -74,17 +74,17 @@ _LOGIC = {
 }  # fmt: skip
 
 
-def _number(r: Recorder, value: Any) -> str:
+def _number(r: Values, value: Any) -> str:
     """Return the name of an operand; truth values as 0 and 1."""
     is_truth = isinstance(value, torch.Tensor) and value.dtype == torch.bool
     return r.add("Cast", r.name(value), to=1) if is_truth else r.name(value)
 
 
-def _by_name(r: Recorder, a: Any, _: Any) -> str:
+def _by_name(r: Values, a: Any, _: Any) -> str:
     return r.add(_FUNCTIONS[a.operator], _number(r, a.self))
 
 
-def _pair(r: Recorder, a: Any, _: Any) -> str:
+def _pair(r: Values, a: Any, _: Any) -> str:
     rounded = "floor" if a.operator == "floor_divide" else a.get("rounding_mode")
     if rounded not in {None, "floor"}:
         raise UnsupportedError(f"rounding_mode {rounded}")
@@ -92,7 +92,7 @@ def _pair(r: Recorder, a: Any, _: Any) -> str:
     return r.add("Floor", result) if rounded == "floor" else result
 
 
-def _logic(r: Recorder, a: Any, _: Any) -> str:
+def _logic(r: Values, a: Any, _: Any) -> str:
     if any(isinstance(x, torch.Tensor) and x.dtype != torch.bool for x in (a.self, a.other)):
         raise UnsupportedError("numbers that are no truth values")
     return r.add(_LOGIC[a.operator], r.name(a.self), r.name(a.other))
@@ -103,7 +103,7 @@ for _operators, _its_rule in ((_FUNCTIONS, _by_name), (_PAIRS, _pair), (_LOGIC, 
 
 
 @rule("add", "sub", "rsub")
-def _sum(r: Recorder, a: Any, _: Any) -> str:
+def _sum(r: Values, a: Any, _: Any) -> str:
     x, y = _number(r, a.self), _number(r, a.other)
     operator, scaled = "Add" if a.operator == "add" else "Sub", a.get("alpha", 1)
     if a.operator == "rsub":
@@ -111,31 +111,31 @@ def _sum(r: Recorder, a: Any, _: Any) -> str:
     return r.add(operator, x, _times(r, y, scaled))
 
 
-def _times(r: Recorder, x: str, factor: float) -> str:
+def _times(r: Values, x: str, factor: float) -> str:
     return x if factor == 1 else r.add("Mul", x, r.name(factor))
 
 
 @rule("bitwise_not")
-def _opposite(r: Recorder, a: Any, _: Any) -> str:
+def _opposite(r: Values, a: Any, _: Any) -> str:
     if a.self.dtype != torch.bool:
         raise UnsupportedError("numbers that are no truth values")
     return r.add("Not", r.name(a.self))
 
 
 @rule("ne")
-def _unequal(r: Recorder, a: Any, _: Any) -> str:
+def _unequal(r: Values, a: Any, _: Any) -> str:
     return r.add("Not", r.add("Equal", _number(r, a.self), _number(r, a.other)))
 
 
 @rule("addcmul", "addcdiv")
-def _added(r: Recorder, a: Any, _: Any) -> str:
+def _added(r: Values, a: Any, _: Any) -> str:
     operator = "Mul" if a.operator == "addcmul" else "Div"
     part = _times(r, r.add(operator, r.name(a.tensor1), r.name(a.tensor2)), a.value)
     return r.add("Add", r.name(a.self), part)
 
 
 @rule("square", "rsqrt", "hardsigmoid")
-def _short(r: Recorder, a: Any, _: Any) -> str:
+def _short(r: Values, a: Any, _: Any) -> str:
     x = r.name(a.self)
     match a.operator:
         case "square":
@@ -147,17 +147,17 @@ def _short(r: Recorder, a: Any, _: Any) -> str:
 
 
 @rule("gelu")
-def _gelu(r: Recorder, a: Any, _: Any) -> str:
+def _gelu(r: Values, a: Any, _: Any) -> str:
     return r.add("Gelu", r.name(a.self), approximate=a.approximate.encode())
 
 
 @rule("softplus")
-def _softplus(r: Recorder, a: Any, _: Any) -> str:
+def _softplus(r: Values, a: Any, _: Any) -> str:
     return _times(r, r.add("Softplus", _times(r, r.name(a.self), a.beta)), 1.0 / a.beta)
 
 
 @rule("elu", "celu", "selu", "leaky_relu")
-def _elu(r: Recorder, a: Any, _: Any) -> str:
+def _elu(r: Values, a: Any, _: Any) -> str:
     x = r.name(a.self)
     match a.operator:
         case "leaky_relu":
@@ -175,7 +175,7 @@ def _elu(r: Recorder, a: Any, _: Any) -> str:
 
 
 @rule("prelu", "_prelu_kernel")
-def _prelu(r: Recorder, a: Any, _: Any) -> str:
+def _prelu(r: Values, a: Any, _: Any) -> str:
     slope = r.array(a.weight)
     if slope.size > 1 and slope.ndim == 1 and a.self.ndim > 1:
         slope = slope.reshape(1, -1, *[1] * (a.self.ndim - 2))
@@ -183,14 +183,14 @@ def _prelu(r: Recorder, a: Any, _: Any) -> str:
 
 
 @rule("clamp", "clip", "hardtanh", "clamp_min", "clamp_max", "relu6")
-def _clamp(r: Recorder, a: Any, _: Any) -> str:
+def _clamp(r: Values, a: Any, _: Any) -> str:
     limits = a.get("min", a.get("min_val")), a.get("max", a.get("max_val"))
     limits = (0.0, 6.0) if a.operator == "relu6" else limits
     return r.add("Clip", r.name(a.self), *("" if x is None else r.name(x) for x in limits))
 
 
 @rule("pow")
-def _pow(r: Recorder, a: Any, _: Any) -> str:
+def _pow(r: Values, a: Any, _: Any) -> str:
     if not isinstance(a.self, torch.Tensor):
         if a.self <= 0:
             raise UnsupportedError(f"{a.self} to powers")
@@ -201,14 +201,14 @@ def _pow(r: Recorder, a: Any, _: Any) -> str:
 
 
 @rule("where", "masked_fill")
-def _where(r: Recorder, a: Any, _: Any) -> str:
+def _where(r: Values, a: Any, _: Any) -> str:
     if a.operator == "masked_fill":
         return r.add("Where", r.name(a.mask), r.name(a.value), r.name(a.self))
     return r.add("Where", r.name(a.condition), r.name(a.self), r.name(a.other))
 
 
 @rule("_to_copy", "to", "type_as")
-def _cast(r: Recorder, a: Any, outputs: Any) -> str:
+def _cast(r: Values, a: Any, outputs: Any) -> str:
     (out,) = outputs
     if out.dtype == a.self.dtype or out.is_floating_point():
         return _number(r, a.self) if a.self.dtype == torch.bool else r.name(a.self)
@@ -218,7 +218,7 @@ def _cast(r: Recorder, a: Any, outputs: Any) -> str:
 
 
 @rule("dropout", "feature_dropout", "alpha_dropout")
-def _dropout(r: Recorder, a: Any, _: Any) -> str:
+def _dropout(r: Values, a: Any, _: Any) -> str:
     if a.train and a.p:
         raise UnsupportedError("`train`, which draws numbers")
     return r.name(a.input)
@@ -228,7 +228,7 @@ def _dropout(r: Recorder, a: Any, _: Any) -> str:
 
 
 @rule("linear")
-def _linear(r: Recorder, a: Any, _: Any) -> str:
+def _linear(r: Values, a: Any, _: Any) -> str:
     if r.is_constant(a.weight):
         product = r.add("MatMul", r.name(a.input), r.graph.constant(r.array(a.weight).T))
     else:
@@ -237,13 +237,13 @@ def _linear(r: Recorder, a: Any, _: Any) -> str:
 
 
 @rule("mm", "bmm", "matmul", "mv", "dot")
-def _matmul(r: Recorder, a: Any, _: Any) -> str:
+def _matmul(r: Values, a: Any, _: Any) -> str:
     other = next(x for x in (a.get(n) for n in ("mat2", "other", "vec", "tensor")) if x is not None)
     return r.add("MatMul", r.name(a.self), r.name(other))
 
 
 @rule("addmm", "baddbmm", "addmv")
-def _addmm(r: Recorder, a: Any, _: Any) -> str:
+def _addmm(r: Values, a: Any, _: Any) -> str:
     names = {"addmm": ("mat1", "mat2"), "baddbmm": ("batch1", "batch2"), "addmv": ("mat", "vec")}
     x, y = (a.get(name) for name in names[a.operator])
     product = _times(r, r.add("MatMul", r.name(x), r.name(y)), a.alpha)
@@ -251,7 +251,7 @@ def _addmm(r: Recorder, a: Any, _: Any) -> str:
 
 
 @rule("conv1d", "conv2d", "convolution", "_convolution")
-def _conv(r: Recorder, a: Any, outputs: Any) -> str:
+def _conv(r: Values, a: Any, outputs: Any) -> str:
     if a.get("transposed"):
         raise UnsupportedError("transposed kernels")
     axes = a.weight.ndim - 2
@@ -274,7 +274,7 @@ def _each(value: Any, axes: int) -> list[int]:
 
 
 @rule("scaled_dot_product_attention", "_scaled_dot_product_flash_attention_for_cpu")
-def _attention(r: Recorder, a: Any, outputs: Any) -> list[str]:
+def _attention(r: Values, a: Any, outputs: Any) -> list[str]:
     if a.dropout_p or a.get("enable_gqa"):
         raise UnsupportedError("dropout or grouped queries")
     q, k, v = a.query, a.key, a.value
@@ -297,18 +297,18 @@ def _attention(r: Recorder, a: Any, outputs: Any) -> list[str]:
 
 
 @rule("softmax", "_softmax", "log_softmax", "_log_softmax")
-def _softmax(r: Recorder, a: Any, _: Any) -> str:
+def _softmax(r: Values, a: Any, _: Any) -> str:
     operator = "LogSoftmax" if "log" in a.operator else "Softmax"
     return r.add(operator, r.name(a.self), axis=a.dim)
 
 
-def _or_ones(r: Recorder, value: Any, size: int, *, zeros: bool = False) -> str:
+def _or_ones(r: Values, value: Any, size: int, *, zeros: bool = False) -> str:
     made = np.zeros if zeros else np.ones
     return r.graph.constant(made(size, np.float32)) if value is None else r.name(value)
 
 
 @rule("layer_norm", "native_layer_norm")
-def _layer_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
+def _layer_norm(r: Values, a: Any, outputs: Any) -> list[str]:
     shape = list(a.normalized_shape)
     scale = _or_ones(r, a.weight, math.prod(shape))
     shift = _or_ones(r, a.bias, math.prod(shape), zeros=True)
@@ -321,7 +321,7 @@ def _layer_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
 
 
 @rule("rms_norm", "_fused_rms_norm")
-def _rms_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
+def _rms_norm(r: Values, a: Any, outputs: Any) -> list[str]:
     x, axes = r.name(a.input), list(range(-len(a.normalized_shape), 0))
     eps = torch.finfo(a.input.dtype).eps if a.eps is None else a.eps
     mean = r.add("ReduceMean", r.add("Mul", x, x), axes=axes)
@@ -331,7 +331,7 @@ def _rms_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
 
 
 @rule("batch_norm", "native_batch_norm", "_native_batch_norm_legit_no_training")
-def _batch_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
+def _batch_norm(r: Values, a: Any, outputs: Any) -> list[str]:
     if a.get("training") or a.running_mean is None:
         raise UnsupportedError("statistics of the batch")
     size = a.input.shape[1]
@@ -346,7 +346,7 @@ def _batch_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
 
 
 @rule("group_norm", "native_group_norm", "instance_norm")
-def _group_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
+def _group_norm(r: Values, a: Any, outputs: Any) -> list[str]:
     if a.operator == "instance_norm" and not a.use_input_stats:
         raise UnsupportedError("running statistics")
     channels = a.input.shape[1]
@@ -363,14 +363,14 @@ _REDUCTIONS = {
 
 
 @rule(*_REDUCTIONS)
-def _reduced(r: Recorder, a: Any, outputs: Any) -> list[str]:
+def _reduced(r: Values, a: Any, outputs: Any) -> list[str]:
     if isinstance(a.get("other"), torch.Tensor):  # `torch.max(x, y)`.
         return [r.add("Max" if a.operator == "max" else "Min", r.name(a.self), r.name(a.other))]
     name = _reduce(r, _REDUCTIONS[a.operator], _number(r, a.self), a)
     return [name, *[""] * (len(outputs) - 1)]
 
 
-def _reduce(r: Recorder, operator: str, x: str, a: Any) -> str:
+def _reduce(r: Values, operator: str, x: str, a: Any) -> str:
     axes = a.get("dim")
     axes = [axes] if isinstance(axes, int) else list(axes or [])
     axes = axes or list(range(a.self.ndim))
@@ -378,7 +378,7 @@ def _reduce(r: Recorder, operator: str, x: str, a: Any) -> str:
 
 
 @rule("linalg_vector_norm", "norm", "frobenius_norm")
-def _norm(r: Recorder, a: Any, _: Any) -> str:
+def _norm(r: Values, a: Any, _: Any) -> str:
     order = a.get("ord", a.get("p"))
     order = 2.0 if order is None else float(order)
     if order == math.inf:
@@ -389,7 +389,7 @@ def _norm(r: Recorder, a: Any, _: Any) -> str:
 
 
 @rule("var", "std")
-def _spread(r: Recorder, a: Any, outputs: Any) -> str:
+def _spread(r: Values, a: Any, outputs: Any) -> str:
     axes = a.get("dim")
     axes = [axes] if isinstance(axes, int) else list(axes or range(a.self.ndim))
     x = r.name(a.self)
@@ -405,7 +405,7 @@ def _spread(r: Recorder, a: Any, outputs: Any) -> str:
 
 
 @rule("max_pool1d", "max_pool2d", "max_pool2d_with_indices", "avg_pool1d", "avg_pool2d")
-def _pool(r: Recorder, a: Any, outputs: Any) -> list[str]:
+def _pool(r: Values, a: Any, outputs: Any) -> list[str]:
     axes = 1 if "1d" in a.operator else 2
     if a.ceil_mode or a.get("divisor_override"):
         raise UnsupportedError("sizes rounded up, or a divisor")
@@ -422,7 +422,7 @@ def _pool(r: Recorder, a: Any, outputs: Any) -> list[str]:
 
 
 @rule("adaptive_avg_pool1d", "adaptive_avg_pool2d", "_adaptive_avg_pool2d")
-def _adaptive_pool(r: Recorder, a: Any, outputs: Any) -> str:
+def _adaptive_pool(r: Values, a: Any, outputs: Any) -> str:
     axes = 1 if "1d" in a.operator else 2
     given, wanted = a.self.shape[-axes:], outputs[0].shape[-axes:]
     if any(n % m for n, m in zip(given, wanted, strict=True)):
@@ -440,7 +440,7 @@ def _adaptive_pool(r: Recorder, a: Any, outputs: Any) -> str:
     "positive", "view", "view_as", "reshape", "_unsafe_view", "_reshape_alias", "flatten",
     "unflatten", "unsqueeze", "squeeze", "ravel",
 )  # fmt: skip
-def _reshape(r: Recorder, a: Any, outputs: Any) -> str:
+def _reshape(r: Values, a: Any, outputs: Any) -> str:
     (out,) = outputs
     if out.dtype != a.self.dtype:
         raise UnsupportedError(f"{a.self.dtype} read as {out.dtype}")
@@ -448,7 +448,7 @@ def _reshape(r: Recorder, a: Any, outputs: Any) -> str:
 
 
 @rule("t", "transpose", "permute", "swapaxes", "numpy_T")
-def _transpose(r: Recorder, a: Any, _: Any) -> str:
+def _transpose(r: Values, a: Any, _: Any) -> str:
     axes = list(range(a.self.ndim))
     if a.operator == "permute":
         axes = [axis % a.self.ndim for axis in a.dims]
@@ -461,18 +461,18 @@ def _transpose(r: Recorder, a: Any, _: Any) -> str:
 
 
 @rule("expand", "expand_as", "broadcast_to")
-def _expand(r: Recorder, a: Any, outputs: Any) -> str:
+def _expand(r: Values, a: Any, outputs: Any) -> str:
     return r.add("Expand", r.name(a.self), r.whole(outputs[0].shape))
 
 
 @rule("repeat")
-def _repeat(r: Recorder, a: Any, _: Any) -> str:
+def _repeat(r: Values, a: Any, _: Any) -> str:
     shape = [1] * (len(a.repeats) - a.self.ndim) + list(a.self.shape)
     return r.add("Tile", r.reshaped(r.name(a.self), shape), r.whole(a.repeats))
 
 
 @rule("slice")
-def _slice(r: Recorder, a: Any, _: Any) -> str:
+def _slice(r: Values, a: Any, _: Any) -> str:
     size = a.self.shape[a.dim]
     return r.slice(
         r.name(a.self), a.dim % a.self.ndim, *slice(a.start, a.end, a.step).indices(size)
@@ -480,14 +480,14 @@ def _slice(r: Recorder, a: Any, _: Any) -> str:
 
 
 @rule("select")
-def _select(r: Recorder, a: Any, outputs: Any) -> str:
+def _select(r: Values, a: Any, outputs: Any) -> str:
     axis = a.dim % a.self.ndim
     at = a.index % a.self.shape[axis]
     return r.reshaped(r.slice(r.name(a.self), axis, at, at + 1), outputs[0].shape)
 
 
 @rule("split", "split_with_sizes", "chunk", "unsafe_split", "unsafe_chunk", "unbind", "narrow")
-def _parts(r: Recorder, a: Any, outputs: Any) -> list[str]:
+def _parts(r: Values, a: Any, outputs: Any) -> list[str]:
     axis = a.dim % a.self.ndim
     start, found = a.get("start", 0), list[str]()
     for out in outputs:
@@ -498,7 +498,7 @@ def _parts(r: Recorder, a: Any, outputs: Any) -> list[str]:
 
 
 @rule("cat", "concat", "stack")
-def _cat(r: Recorder, a: Any, outputs: Any) -> str:
+def _cat(r: Values, a: Any, outputs: Any) -> str:
     (out,) = outputs
     axis = a.dim % out.ndim
     tensors = [each for each in a.tensors if a.operator == "stack" or each.numel()]
@@ -510,7 +510,7 @@ def _cat(r: Recorder, a: Any, outputs: Any) -> str:
 
 
 @rule("flip")
-def _flip(r: Recorder, a: Any, _: Any) -> str:
+def _flip(r: Values, a: Any, _: Any) -> str:
     name = r.name(a.self)
     for axis in a.dims:
         name = r.slice(name, axis % a.self.ndim, -1, _INT_MIN, -1)
@@ -518,7 +518,7 @@ def _flip(r: Recorder, a: Any, _: Any) -> str:
 
 
 @rule("roll")
-def _roll(r: Recorder, a: Any, outputs: Any) -> str:
+def _roll(r: Values, a: Any, outputs: Any) -> str:
     name, axes = r.name(a.self), list(a.dims)
     if not axes:
         name, axes = r.reshaped(name, [a.self.numel()]), [0]
@@ -531,7 +531,7 @@ def _roll(r: Recorder, a: Any, outputs: Any) -> str:
 
 
 @rule("constant_pad_nd")
-def _pad(r: Recorder, a: Any, _: Any) -> str:
+def _pad(r: Values, a: Any, _: Any) -> str:
     pairs = list(zip(a.pad[::2], a.pad[1::2], strict=True))[::-1]
     pairs = [(0, 0)] * (a.self.ndim - len(pairs)) + pairs
     pads = r.whole([pair[side] for side in (0, 1) for pair in pairs])
@@ -539,7 +539,7 @@ def _pad(r: Recorder, a: Any, _: Any) -> str:
 
 
 @rule("index_select", "embedding", "index")
-def _gather(r: Recorder, a: Any, _: Any) -> str:
+def _gather(r: Values, a: Any, _: Any) -> str:
     if a.operator == "embedding":
         return r.add("Gather", r.name(a.weight), r.graph.constant(r.array(a.indices)))
     if a.operator == "index_select":
@@ -556,7 +556,7 @@ def _gather(r: Recorder, a: Any, _: Any) -> str:
 
 
 @rule("copy_", "copy", "fill_", "zero_", "fill")
-def _fill(r: Recorder, a: Any, _: Any) -> str:
+def _fill(r: Values, a: Any, _: Any) -> str:
     value = a.get("src", a.get("value", 0.0))
     value = value if isinstance(value, torch.Tensor) else float(value)
     return r.add("Expand", _number(r, value), r.whole(a.self.shape))

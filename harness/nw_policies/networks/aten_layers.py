@@ -15,13 +15,13 @@ from nw_policies.executor import UnsupportedError
 from nw_policies.networks.aten import rule
 
 if TYPE_CHECKING:
-    from nw_policies.networks.recording import Recorder
+    from nw_policies.networks.values import Values
 
 _GATES = {"lstm": (0, 3, 1, 2), "gru": (1, 0, 2), "rnn": (0,)}
 
 
 @rule("lstm", "gru", "rnn_tanh", "rnn_relu")
-def _recurrent(r: Recorder, a: Any, _: Any) -> list[str]:
+def _recurrent(r: Values, a: Any, _: Any) -> list[str]:
     if a.get("batch_sizes") is not None or (a.train and a.dropout):
         raise UnsupportedError("sequences of several lengths, or dropout")
     is_lstm, turns = a.operator == "lstm", 1 + bool(a.bidirectional)
@@ -47,12 +47,12 @@ def _recurrent(r: Recorder, a: Any, _: Any) -> list[str]:
     return [y, *ends]
 
 
-def _joined(r: Recorder, names: Sequence[str]) -> str:
+def _joined(r: Values, names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else r.add("Concat", *names, axis=0)
 
 
 def _layer(
-    r: Recorder,
+    r: Values,
     operator: str,
     x: str,
     weights: Any,
@@ -82,7 +82,7 @@ def _layer(
 
 
 @rule("lstm_cell", "gru_cell", "rnn_tanh_cell", "rnn_relu_cell")
-def _cell(r: Recorder, a: Any, _: Any) -> list[str]:
+def _cell(r: Values, a: Any, _: Any) -> list[str]:
     before = list(a.hx) if a.operator == "lstm_cell" else [a.hx]
     batch, size = before[0].shape
     weights = [w for w in (a.w_ih, a.w_hh, a.b_ih, a.b_hh) if w is not None]

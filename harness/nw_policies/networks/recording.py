@@ -22,6 +22,7 @@ from nw_policies.executor import NEXT, Graph, Node, RecordedFile, UnsupportedErr
 from nw_policies.networks.aten import EXACT, MADE, RULES
 from nw_policies.networks.aten_layers import COMPOSED
 from nw_policies.networks.exported import without_compiler
+from nw_policies.networks.values import Values, as_array, memory_of
 
 _PIECES = 256
 """Runs of numbers that stay together where a part of an array is overwritten."""
@@ -92,13 +93,6 @@ def named(graph: Graph, names: Mapping[str, str]) -> None:
         graph.outputs.append(NEXT + name)
 
 
-def as_array(tensor: Tensor) -> NDArray[Any]:
-    """Return a copy of a tensor's numbers; of any floats as float32."""
-    plain = tensor.detach()
-    plain = plain.to(torch.float32) if plain.is_floating_point() else plain
-    return np.array(plain.numpy())
-
-
 class _Arguments:
     """Arguments of an operator by the names of its schema, and the operator's own name."""
 
@@ -117,7 +111,7 @@ class _Arguments:
         return self.__dict__.get(name, default)
 
 
-class Recorder(TorchDispatchMode):
+class Recorder(TorchDispatchMode, Values):
     """Writes down the operators that run in its `with` block.
 
     Attributes:
@@ -127,69 +121,15 @@ class Recorder(TorchDispatchMode):
 
     def __init__(self) -> None:
         super().__init__()
-        self.graph = Graph()
+        Values.__init__(self)
         self.fault: UnsupportedError | None = None
-        self._names: dict[int, str] = {}
-        self._constants: dict[int, str] = {}
-        # Tensors by their memory, all kept alive: else another one could have the same `id`.
-        self._sharing: dict[int, dict[int, Tensor]] = {}
-
-    # --- for rules ------------------------------------------------------------------------------
-
-    def is_constant(self, value: Any) -> bool:
-        """Whether a value depends on no input."""
-        return not isinstance(value, Tensor) or id(value) not in self._names
-
-    def name(self, value: Any) -> str:
-        """Return the name of a tensor or a number in the graph."""
-        if not isinstance(value, Tensor):
-            kind = np.bool_ if isinstance(value, bool) else np.float32
-            return self.graph.constant(np.asarray(value, kind))
-        known = self._names.get(id(value)) or self._constants.get(id(value))
-        if known is None:
-            self._know(value)
-            known = self._constants[id(value)] = self.graph.constant(as_array(value))
-        return known
-
-    def array(self, value: Tensor) -> NDArray[Any]:
-        """Return the numbers of a tensor that depends on no input.
-
-        Raises:
-            UnsupportedError: it depends on one.
-        """
-        if not self.is_constant(value):
-            raise UnsupportedError("weights or indices that depend on the inputs")
-        return as_array(value)
-
-    def add(self, operator: str, *inputs: str, **attributes: Any) -> str:
-        """Add an operator with one output and return the output's name."""
-        return self.graph.add(operator, *inputs, **attributes)
-
-    def whole(self, numbers: Sequence[int]) -> str:
-        """Return the name of constant whole numbers."""
-        return self.graph.constant(np.array(list(numbers), np.int64))
-
-    def reshaped(self, name: str, shape: Sequence[int]) -> str:
-        """Return the name of a value with another shape of as many elements."""
-        return self.add("Reshape", name, self.whole(shape), allowzero=1)
-
-    def batched(self, tensor: Tensor, axes: int) -> str:
-        """Return the name of a tensor, with a leading axis of 1 if it has one axis less."""
-        name = self.name(tensor)
-        return name if tensor.ndim == axes else self.reshaped(name, [1, *tensor.shape])
-
-    def slice(self, name: str, axis: int, start: int, end: int, step: int = 1) -> str:
-        """Return the name of some of a value's elements along one axis, as ONNX's Slice says."""
-        return self.add("Slice", name, *(self.whole([n]) for n in (start, end, axis, step)))
-
-    # --- recording ------------------------------------------------------------------------------
 
     def input(self, name: str, tensor: Tensor) -> None:
         """Let a tensor be an input of the graph."""
         dtype = np.float32 if tensor.is_floating_point() else as_array(tensor).dtype
         self.graph.input(name, tuple(tensor.shape), dtype)
-        self._know(tensor)
-        self._names[id(tensor)] = name
+        self.know(tensor)
+        self.names[id(tensor)] = name
 
     def __torch_dispatch__(
         self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None
@@ -229,9 +169,9 @@ class Recorder(TorchDispatchMode):
         result = func(*args, **kwargs)
         outputs = list(_tensors(result))
         for tensor, name in zip(outputs, self._named(given, outputs), strict=True):
-            self._know(tensor)
+            self.know(tensor)
             if name:
-                self._names[id(tensor)] = name
+                self.names[id(tensor)] = name
         return result
 
     def _composed(self, given: _Arguments) -> Any:
@@ -244,16 +184,16 @@ class Recorder(TorchDispatchMode):
     def _made(self, func: Any, args: Any, kwargs: Any, written: Tensor | None) -> Any:
         """Run an operator whose result depends on no input."""
         if written is not None:
-            self._know(written)
+            self.know(written)
             for each in self._beside(written):
-                self._constants.pop(id(each), None)
-                if id(each) in self._names:
+                self.constants.pop(id(each), None)
+                if id(each) in self.names:
                     raise UnsupportedError("memory that an input shares with a constant")
         result = func(*args, **kwargs)
         for tensor in _tensors(result):
             if func._schema.name.startswith("aten::empty"):  # noqa: SLF001 - as above.
                 tensor.zero_()  # What lies there by chance would be a constant.
-            self._know(tensor)
+            self.know(tensor)
         return result
 
     def _named(self, given: _Arguments, outputs: Sequence[Tensor]) -> list[str]:
@@ -267,15 +207,12 @@ class Recorder(TorchDispatchMode):
 
     # --- memory that tensors share --------------------------------------------------------------
 
-    def _know(self, tensor: Tensor) -> None:
-        self._sharing.setdefault(_memory_of(tensor), {})[id(tensor)] = tensor
-
     def _beside(self, tensor: Tensor) -> list[Tensor]:
-        return list(self._sharing.get(_memory_of(tensor), {}).values())
+        return list(self.sharing.get(memory_of(tensor), {}).values())
 
     def _around(self, written: Tensor) -> list[tuple[Tensor, str]]:
         """Return the tensors that an operator is about to change with one, and what they were."""
-        self._know(written)
+        self.know(written)
         places = set(_places(written).ravel().tolist())
         return [
             (each, self.name(each))
@@ -284,7 +221,7 @@ class Recorder(TorchDispatchMode):
         ]
 
     def _write(self, written: Tensor, name: str, around: list[tuple[Tensor, str]]) -> None:
-        self._names[id(written)] = name
+        self.names[id(written)] = name
         new = {place: at for at, place in enumerate(_places(written).ravel().tolist())}
         for each, before in around:
             count = each.numel()
@@ -304,11 +241,7 @@ class Recorder(TorchDispatchMode):
                 for start, end in pairwise(cuts)
             ]
             joined = parts[0] if len(parts) == 1 else self.add("Concat", *parts, axis=0)
-            self._names[id(each)] = self.reshaped(joined, each.shape)
-
-
-def _memory_of(tensor: Tensor) -> int:
-    return tensor.untyped_storage().data_ptr()  # It stays theirs: all are kept.
+            self.names[id(each)] = self.reshaped(joined, each.shape)
 
 
 def _places(tensor: Tensor) -> NDArray[np.int64]:

@@ -20,8 +20,9 @@ from nw_base.plural import plural
 from nw_places.entries import parted
 from nw_policies.cards import Card, motors_follow
 from nw_policies.cards.card import LEFT_OUT, ConstantCommand
+from nw_policies.cards.feeding import resolve_inputs
 from nw_policies.cards.joints import short_name
-from nw_policies.cards.networks import input_parts, resolve_inputs
+from nw_policies.cards.networks import input_parts
 from nw_policies.cards.observations import ProprioObservation, SplatRgbObservation
 from nw_scenes.robots import RobotSpec
 from nw_sim.catalogue import is_meant

@@ -16,7 +16,7 @@ from nw_base.words import Collision, Outcome
 from nw_policies import Bundle
 from nw_policies.asked import ApartPolicy
 from nw_policies.cards import Card
-from nw_policies.cards.networks import InputSpec
+from nw_policies.cards.feeding import InputSpec
 from nw_policies.drawing import DrawingPolicy
 from nw_policies.fed_policy import FedPolicy
 from nw_policies.planned import PlannedPolicy
@@ -26,7 +26,7 @@ from nw_sim.physics import World
 from nw_sim.rollout.episode import Episode, Observer, Step
 from nw_sim.rollout.job import StageClock, TrialJob
 from nw_sim.rollout.library import Library
-from nw_sim.rollout.trial import open_trial
+from nw_sim.rollout.opening import open_trial
 from nw_sim.sensors.proprio import commanded_speed
 
 Array = NDArray[np.float64]

@@ -31,7 +31,6 @@ from nw_sim.tasks import COURSE, AnyTask
 if TYPE_CHECKING:
     from nw_gate.results.row import Row
     from nw_policies.cards import Card
-    from nw_sim.rollout.episode import Episode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,29 +183,6 @@ class TrialResult:
     wall: StageSeconds = field(default_factory=StageSeconds)
     mcap_bytes: int = 0  # 0 = no log was kept
     mcap_error: str = ""  # why there is no log, although one was asked for
-
-    @classmethod
-    def so_far(cls, episode: Episode) -> Self:
-        """Return what an episode has come to, with status `error` until it has an outcome."""
-        return cls(
-            status="error",
-            task_kind=episode.task.kind,
-            task_success=episode.task.success,
-            waypoints_reached=episode.task.reached,
-            waypoints_total=episode.task.total,
-            waypoint_times=episode.task.times,
-            steps=episode.step,
-            control_rate=episode.world.control_rate,
-            sim_seconds=episode.world.time,
-            contact_s=episode.task.contact_seconds,
-            coverage_min=episode.coverage.smallest,
-            coverage_mean=episode.coverage.mean,
-            capture_distance=tuple(episode.captured.distance),
-            capture_angle=tuple(episode.captured.angle),
-            capture_alpha=tuple(episode.captured.alpha),
-            state_digest=episode.state_digest.hex,
-            action_digest=episode.action_digest.hex,
-        )
 
     @property
     def success(self) -> float:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from nw_sim.rollout.episode import Decision, Episode, Step
     from nw_sim.rollout.job import StageClock, TrialResult
     from nw_sim.rollout.mcap.trial_log import EventKind, TrialLog
-    from nw_sim.rollout.trial import OpenTrial
+    from nw_sim.rollout.opening import OpenTrial
     from nw_sim.tasks import TaskEvent
 
 Array = NDArray[np.float64]

@@ -21,8 +21,8 @@ from nw_base.errors import NwEvalError, PolicyError, UsageError
 from nw_base.memory import Arrays, pack, read_only, unpack
 from nw_base.protocol import STRICT, EvaluationProtocol
 from nw_policies.cards import Card, JointControl, actuator_values, mounted_robot
+from nw_policies.cards.feeding import sized
 from nw_policies.cards.model import CONTROL_RATE
-from nw_policies.cards.networks import sized
 from nw_policies.cards.observations import (
     AnyObservation,
     DepthObservation,

@@ -44,7 +44,8 @@ seed: 5
 episode: {duration: 4.0}
 scenes: [hurdles/one_low_carpet, hurdles/two_logs_park]
 record: none
-gate: {success_rate: 0.05, max_drop: 0.5, tolerate: 0.1, rounds: 4, least_starts: 1, confidence: 0.6}
+gate:
+  {success_rate: 0.05, max_drop: 0.5, tolerate: 0.1, rounds: 4, least_starts: 1, confidence: 0.6}
 """
 BANK = Path("reports/baselines/quick/shipped.parquet")
 LIMP = {

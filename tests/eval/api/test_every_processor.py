@@ -11,7 +11,7 @@ import pytest
 
 import nw_eval
 from nw_eval import api
-from nw_eval.engine.provenance import engine_of
+from nw_eval.engine.identity import engine_of
 from nw_gate.results.bank import machine_in, machine_of
 from nw_gate.results.bank_file import read_bank
 from nw_gate.results.provenance import read_run_info

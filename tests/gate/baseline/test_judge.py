@@ -396,7 +396,9 @@ def test_what_is_not_decided_says_what_is_known_of_the_drop(
         f"mean success dropped by 0.050 from the baseline shipped in 10 trials, at most {high:.3f} "
         "(95 %): undecided, the data fit a drop of 0.1 and a drop below 0.02"
     )
-    assert (round(low, 3), found.known_low) == (0.0, None), "no policy is better than one that never fails"
+    assert (round(low, 3), found.known_low) == (0.0, None), (
+        "no policy is better than one that never fails"
+    )
     assert found.more is not None
     assert found.more.endswith("; --resume with more --trials runs them")
     # Intervals take time: they are for a report.

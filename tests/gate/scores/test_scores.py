@@ -21,8 +21,9 @@ from nw_sim.catalogue import get_scene
 from nw_sim.physics import World
 from nw_sim.rollout.job import StageClock, TrialJob
 from nw_sim.rollout.library import Library
+from nw_sim.rollout.opening import open_trial
 from nw_sim.rollout.scored import ScoreMeter
-from nw_sim.rollout.trial import open_trial, run_trial
+from nw_sim.rollout.trial import run_trial
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "scores.md"
 SCENE = "hurdles/one_low_carpet"

@@ -18,7 +18,8 @@ from nw_sim.catalogue import FoundScene
 from nw_sim.rollout.episode import Observer
 from nw_sim.rollout.job import StageClock
 from nw_sim.rollout.library import Library
-from nw_sim.rollout.trial import open_trial, run_trial
+from nw_sim.rollout.opening import open_trial
+from nw_sim.rollout.trial import run_trial
 
 SCENE = "hurdles/one_low_carpet"
 
@@ -162,7 +163,7 @@ def test_the_teacher_is_asked_about_the_states_that_the_student_comes_to(
         def close(self):
             pass
 
-    monkeypatch.setattr("nw_sim.rollout.trial.open_policy", lambda *_, **__: Obeys())
+    monkeypatch.setattr("nw_sim.rollout.opening.open_policy", lambda *_, **__: Obeys())
     by_student = replace(job, policy=student.reference, checkpoint_digest=student.checkpoint_digest)
     result = pair(by_student)
     assert result.status == "ok", result.error_text

@@ -13,7 +13,7 @@ from nw_sim.physics import World
 from nw_sim.physics.batch import Simulation
 from nw_sim.rollout.job import StageClock, TrialJob
 from nw_sim.rollout.library import Library
-from nw_sim.rollout.trial import open_trial
+from nw_sim.rollout.opening import open_trial
 from nw_sim.tasks.course import CourseProgress, distance_to_polyline
 
 SCENE = "hurdles/three_high_wood_hall"

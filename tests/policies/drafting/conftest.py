@@ -12,7 +12,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from nw_policies import load_bundle, open_policy
 from nw_policies.cards.card import Card
-from nw_policies.cards.networks import shape_problems
+from nw_policies.cards.feeding import shape_problems
 from nw_policies.drafting.checkpoint import inspect_checkpoint
 from nw_policies.drafting.draft import write_card_draft
 from nw_scenes.robots import get_robot

@@ -7,7 +7,7 @@ import pytest
 
 from nw_policies import load_bundle
 from nw_policies.cards import Card
-from nw_policies.cards.networks import InputSpec
+from nw_policies.cards.feeding import InputSpec
 from nw_scenes.robots import get_robot
 from nw_sim.probe.findings import (
     Range,

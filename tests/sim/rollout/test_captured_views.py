@@ -12,9 +12,10 @@ from nw_scenes.scene import CaptureCameras, Nearness
 from nw_sim.rollout.episode import CapturedViews
 from nw_sim.rollout.job import StageClock
 from nw_sim.rollout.mcap.reader import LogReader
+from nw_sim.rollout.opening import open_trial
 from nw_sim.rollout.replaying.logged import read_logged_trial
 from nw_sim.rollout.replaying.policy_switch import run_on
-from nw_sim.rollout.trial import open_trial, run_trial
+from nw_sim.rollout.trial import run_trial
 
 
 def views(*images):

@@ -13,7 +13,7 @@ from nw_sim.probe.recording import record
 from nw_sim.rollout.fault import PolicyFailedError
 from nw_sim.rollout.job import StageClock
 from nw_sim.rollout.library import Library
-from nw_sim.rollout.trial import open_trial
+from nw_sim.rollout.opening import open_trial
 
 SCENE = "flat/carpet_room"
 CARD = """\

@@ -5,7 +5,7 @@ import pytest
 from nw_base.errors import TrialError
 from nw_sim.rollout.episode import Observer
 from nw_sim.rollout.job import StageClock
-from nw_sim.rollout.trial import open_trial
+from nw_sim.rollout.opening import open_trial
 
 
 class Notes(Observer):

@@ -13,8 +13,9 @@ from nw_scenes.robots.spec import remounted
 from nw_sim.axes import AXES, Perturb
 from nw_sim.rollout.job import StageClock
 from nw_sim.rollout.library import Library
+from nw_sim.rollout.opening import open_trial
 from nw_sim.rollout.perturbed import EVERY, Pushes, TrialSetup, perturbed, unfelt
-from nw_sim.rollout.trial import open_trial, run_trial
+from nw_sim.rollout.trial import run_trial
 from nw_sim.sensors.sensor import FOG, Air
 from nw_splat.image import Image
 

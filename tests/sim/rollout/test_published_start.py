@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from nw_sim.rollout.job import StageClock
+from nw_sim.rollout.opening import open_trial
 from nw_sim.rollout.replaying.takeover import replay
-from nw_sim.rollout.trial import open_trial, run_trial
+from nw_sim.rollout.trial import run_trial
 
 
 def decisions(job, library, count):

@@ -8,9 +8,10 @@ from nw_base.errors import PolicyError, StoreError, UsageError
 from nw_eval.cli.verbs.replay import replay_line
 from nw_sim.rollout.job import StageClock
 from nw_sim.rollout.mcap.reader import LogReader
+from nw_sim.rollout.opening import open_trial
 from nw_sim.rollout.replaying.logged import read_logged_trial
 from nw_sim.rollout.replaying.takeover import replay, run_on
-from nw_sim.rollout.trial import open_trial, run_trial
+from nw_sim.rollout.trial import run_trial
 
 
 @pytest.fixture(params=["walks", "sees"])

@@ -19,7 +19,8 @@ from nw_sim.rollout.mcap.images import observation_digest
 from nw_sim.rollout.mcap.reader import LogReader
 from nw_sim.rollout.mcap.topics import TOPICS
 from nw_sim.rollout.observed import MANY, element_names
-from nw_sim.rollout.trial import open_trial, run_trial
+from nw_sim.rollout.opening import open_trial
+from nw_sim.rollout.trial import run_trial
 from nw_sim.sensors.drawing.pictures import PALETTE
 
 CARD = """\

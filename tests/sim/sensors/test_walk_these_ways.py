@@ -18,7 +18,7 @@ from nw_sim.probe.recording import ThisBundle
 from nw_sim.rollout.confined.vetting import check_bundle
 from nw_sim.rollout.job import StageClock, TrialJob
 from nw_sim.rollout.library import Library
-from nw_sim.rollout.trial import open_trial
+from nw_sim.rollout.opening import open_trial
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "policies/examples/walk-these-ways-go1/policy.yaml"
 SCENE = "flat/carpet_room"

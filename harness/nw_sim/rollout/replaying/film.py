@@ -25,8 +25,8 @@ from nw_sim.rollout.fault import one_line
 from nw_sim.rollout.job import StageClock
 from nw_sim.rollout.library import Library
 from nw_sim.rollout.observed import views_of
+from nw_sim.rollout.opening import open_trial
 from nw_sim.rollout.replaying.third_person import Spectator
-from nw_sim.rollout.trial import open_trial
 from nw_sim.sensors.drawing.pictures import Cell, draw_sheet, enlarged, picture_of
 from nw_splat.render import open_renderer
 from nw_splat.store import open_store
@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from nw_scenes import Scene
     from nw_sim.rollout.episode import Decision
     from nw_sim.rollout.job import TrialResult
+    from nw_sim.rollout.opening import OpenTrial
     from nw_sim.rollout.replaying.logged import LoggedTrial
-    from nw_sim.rollout.trial import OpenTrial
 
 
 RATE = 25

@@ -29,8 +29,9 @@ from nw_sim.rollout.episode import Decision
 from nw_sim.rollout.job import StageClock, TrialResult
 from nw_sim.rollout.library import Library
 from nw_sim.rollout.mcap.messages import SimState, StatePart
+from nw_sim.rollout.opening import OpenTrial, open_trial
 from nw_sim.rollout.record import attachments
-from nw_sim.rollout.trial import OpenTrial, ended, failed, open_trial
+from nw_sim.rollout.trial import ended, failed, so_far
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from nw_base.words import Collision
     from nw_policies import Policy
     from nw_policies.cards import Card
-    from nw_policies.cards.networks import InputSpec
+    from nw_policies.cards.feeding import InputSpec
     from nw_policies.policy import Observation
     from nw_scenes import Scene
     from nw_scenes.rays import RayScene
@@ -432,5 +433,5 @@ def run_on(trial: OpenTrial, *observers: Observer) -> TrialResult:
     except BaseException as error:
         if is_interrupt(error):
             raise
-        return failed(TrialResult.so_far(trial.episode), error)  # As in a run, it is the result.
+        return failed(so_far(trial.episode), error)  # As in a run, it is the result.
     return ended(trial, outcome)

@@ -21,6 +21,7 @@ from nw_sim.rollout.job import StageClock, TrialResult
 from nw_sim.rollout.library import Library
 from nw_sim.rollout.mcap.messages import SimState
 from nw_sim.rollout.mcap.trial_log import TrialLog
+from nw_sim.rollout.opening import OpenTrial, open_trial
 from nw_sim.rollout.record import provenance
 from nw_sim.rollout.record import verdict_metadata as as_metadata
 from nw_sim.rollout.recorder import Recorder
@@ -50,7 +51,6 @@ from nw_sim.rollout.replaying.reports import (
     TakeoverReport,
     Try,
 )
-from nw_sim.rollout.trial import OpenTrial, open_trial
 from nw_sim.sensors.build import check_card
 
 if TYPE_CHECKING:
@@ -61,8 +61,8 @@ if TYPE_CHECKING:
     from nw_sim.physics import World
     from nw_sim.rollout.episode import Observer
     from nw_sim.rollout.job import TrialJob, TrialResult
+    from nw_sim.rollout.opening import OpenTrial
     from nw_sim.rollout.replaying.film import Film
-    from nw_sim.rollout.trial import OpenTrial
 
 
 @dataclass(frozen=True, kw_only=True)
