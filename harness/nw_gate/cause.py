@@ -80,8 +80,8 @@ class Effect:
         size: in success, -1 to 1; positive = the new one is worse.
         p: against "it is at most 0"; of a part of the drop, the larger one of its own and the
             drop's.
-        interval: of this effect alone, with confidence 1 - `Cause.error`; None in files of earlier
-            versions.
+        interval: of this effect alone; each end errs with probability `Cause.error` at most. None
+            in files of earlier versions.
     """
 
     size: float
@@ -205,7 +205,7 @@ def cause_of(
 
 def _effect(parts: NDArray[np.float64], error: float, *, after: float = 0.0) -> Effect:
     """Return the mean of trials' parts; `after` is the p-value of what was tested before."""
-    halves, confidence = [(1.0 + parts) / 2.0], 1.0 - error / 2.0
+    halves, confidence = [(1.0 + parts) / 2.0], 1.0 - error
     return Effect(
         size=float(np.mean(parts)),
         p=max(after, p_above(halves, 0.5)),

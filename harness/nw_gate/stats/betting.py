@@ -167,7 +167,7 @@ def _weighted(
     weights = np.concatenate([np.full(len(group), 1.0 / len(group)) for group in filled])
     # Trials have few different values: a logarithm of each is enough.
     found, counts = np.unique(values + 1j * (weights / weights.max()), return_counts=True)
-    return found.real, found.imag, counts
+    return np.real(found), np.imag(found), counts
 
 
 def _log_capital(

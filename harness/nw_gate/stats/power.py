@@ -158,7 +158,8 @@ def chances_beside(
 
 
 def _log_beta(a: Floats, b: Floats) -> Floats:
-    return (_log_gamma(a) + _log_gamma(b) - _log_gamma(a + b)).astype(np.float64)
+    one, other, both = (np.asarray(_log_gamma(x), np.float64) for x in (a, b, a + b))
+    return one + other - both
 
 
 def _weights(courses: list[SceneCounts]) -> list[tuple[float, float]]:

@@ -66,7 +66,8 @@ def cause_table(cause: Cause | None) -> Table:
         note=f"{answer_words(cause)}. {differences_words(cause)} Sight is the sensors of the world "
         "around and where cameras sit, control is all the rest; each row is a policy that ran in "
         "the same trials. An effect that is none is named in fewer than "
-        f"{cause.error * 100:.0f} % of such comparisons. Each interval is of its effect alone.",
+        f"{cause.error * 100:.0f} % of such comparisons. The ends of an interval are of its "
+        "effect alone.",
     )
 
 
@@ -75,4 +76,4 @@ def _how_sure(effect: Effect, error: float) -> str:
     if effect.interval is None:
         return p
     low, high = effect.interval
-    return f"{100 * (1 - error):.4g} % {low:+.2f} to {high:+.2f}, {p}"
+    return f"{low:+z.2f} to {high:+z.2f} at {100 * (1 - error):.4g} % each, {p}"
