@@ -14,7 +14,7 @@ gate is worth stands in no single number, but in this curve.
 its chances are drawn anew for each simulated end, from what they may be after its own trials and
 the baseline's (`chances_beside`). So "about N more trials" is no number but a spread, from runs
 that the next trial ends to those that no number of trials does. It is right for candidates that
-look alike: one that lies midway between the margins takes longer, and nobody knows that it does.
+look alike: one that lies midway between the margins takes longer, and its trials do not show it.
 """
 
 from __future__ import annotations

@@ -101,14 +101,14 @@ def test_the_ends_that_are_simulated_are_those_that_come():
 
 
 def of_hurdles(drop: float, kind: str) -> tuple[Floats, Places, list[SceneCounts]]:
-    """Return scores of 2000 policies on the committed hurdles, their scenes, and its counts.
+    """Return scores of 1200 policies on the committed hurdles, their scenes, and its counts.
 
     The drop is one factor of the odds in all scenes, or a share of trials that reach nothing.
     """
     panel = read_bank(BASELINES / "hurdles" / "go1-parkour.parquet").panels[0]
     seen = list(outset_of_bank(panel, Gate()).seen)
     starts, gates = seen[0].trials, np.random.default_rng(round(100 * drop))
-    order = gates.permuted(np.tile(np.arange(len(seen) * starts), (2000, 1)), axis=1)
+    order = gates.permuted(np.tile(np.arange(len(seen) * starts), (1200, 1)), axis=1)
     scenes = order // starts
     lost = drop if kind == "odds" else 0.0
     k = np.array([len(course.counts) - 1 for course in seen])
@@ -120,13 +120,13 @@ def of_hurdles(drop: float, kind: str) -> tuple[Floats, Places, list[SceneCounts
 
 def test_of_open_runs_against_the_committed_hurdles_as_many_are_decided_as_is_said():
     budget, within = 320, {0.5: list[bool](), 0.9: list[bool]()}
-    for drop, kind in product((0.0, 0.03, 0.06, 0.08, 0.1), ("odds", "nothing")):
+    for drop, kind in product((0.03, 0.06, 0.08, 0.1), ("odds", "nothing")):
         scores, scenes, seen = of_hurdles(drop, kind)
         rules = TrialRules(tiers=("supporting",) * len(seen))
         bank = Bank(means=np.array([c.counts @ c.values / c.trials for c in seen]))
         whole = DrawnTrials(scenes=scenes, candidate=scores, baseline=bank.means[scenes])
         first = settle_all(bank, whole.only(np.arange(len(scores)), budget), rules)
-        is_open = [gate for gate, end in enumerate(first) if end.word == "undecided"][:8]
+        is_open = [gate for gate, end in enumerate(first) if end.word == "undecided"][:16]
         known = np.arange(scenes.shape[-1]) < budget
         for gate in is_open:
             one = DrawnTrials(
@@ -138,10 +138,10 @@ def test_of_open_runs_against_the_committed_hurdles_as_many_are_decided_as_is_sa
             for share, decided in within.items():
                 if (number := trials_for(found.settled, share)) is not None:
                     decided.append(end.word != "undecided" and more <= number)
-    assert min(map(len, within.values())) > 25
+    assert min(map(len, within.values())) > 40
     assert {share: np.mean(decided) for share, decided in within.items()} == {
         0.5: pytest.approx(0.5, abs=0.2),
-        0.9: pytest.approx(0.9, abs=0.12),
+        0.9: pytest.approx(0.9, abs=0.15),
     }
 
 
