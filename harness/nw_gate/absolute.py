@@ -447,7 +447,8 @@ def advice(
     now, where = (n, "") if rest else (each, " in each scene")
     return (
         f"{2 * now} trials{where} (now {now}) decide the bar with {twice} probability, "
-        f"{4 * now} with {four_times}; --resume with more --trials adds them"
+        f"{4 * now} with {four_times}, if the policy is as it looks so far; --resume with more "
+        "--trials adds them"
     )
 
 

@@ -7,8 +7,13 @@ to new is the sum of two effects in every single trial (Shapley 1953 for two pla
     sight   = 1/2 [y(old, old) - y(old, new) + y(new, old) - y(new, new)]
     control = 1/2 [y(old, old) - y(new, old) + y(old, new) - y(new, new)]
 
-where y(control, sight) is the share of waypoints reached. An effect is named where
-flipping the signs of its trials' shares says that it is no chance, with Holm's correction for two.
+where y(control, sight) is the share of waypoints reached. All three are within [-1, 1] in every
+trial. An effect is named where a bettor against "its mean is at most 0" wins (`stats.betting`).
+That test errs with at most its level for every distribution with such a mean, also a skewed one,
+and for scenes that differ. The drop is tested first. Where neither effect is above 0 the drop is
+not either, so that each effect that is tested after a drop was found keeps the level of both
+together (closed testing: Marcus, Peritz and Gabriel, Biometrika 63 (1976)).
+
 All trials count, not only those that failed: of trials that are picked for their failure, some end
 well in any second try.
 
@@ -30,8 +35,8 @@ from nw_base.errors import StoreError
 from nw_base.files.cache import atomic_path
 from nw_base.files.inside import regular
 from nw_gate.results.row import Row
-from nw_gate.stats.hazard import holm
-from nw_gate.stats.interval import leans_above
+from nw_gate.stats.betting import lower_bound, p_above, upper_bound
+from nw_gate.stats.interval import Interval
 
 Side = Literal["old", "new"]
 Arm = tuple[Side, Side]
@@ -72,12 +77,16 @@ class Effect:
     """A part of the drop.
 
     Attributes:
-        size: in success, 0..1; positive = the new one is worse.
-        p: of as large a one by chance, after Holm where there are two.
+        size: in success, -1 to 1; positive = the new one is worse.
+        p: against "it is at most 0"; of a part of the drop, the larger one of its own and the
+            drop's.
+        interval: of this effect alone; each end errs with probability `Cause.error` at most. None
+            in files of earlier versions.
     """
 
     size: float
     p: float
+    interval: Interval | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,12 +173,8 @@ def cause_of(
     lost = y["old", "old"] - y["new", "new"]
     crossed = y["new", "old"] - y["old", "new"]
     sight, control = (lost + crossed) / 2.0, (lost - crossed) / 2.0
-    drop = Effect(size=float(np.mean(lost)), p=leans_above(lost))
-    ps = holm([leans_above(sight), leans_above(control)])
-    effects = [
-        Effect(size=float(np.mean(part)), p=float(p))
-        for part, p in zip((sight, control), ps, strict=True)
-    ]
+    drop = _effect(lost, error)
+    effects = [_effect(part, error, after=drop.p) for part in (sight, control)]
     fell = done["old", "old"] & ~done["new", "new"]
     answer, why = _answer(drop, effects[0], effects[1], apart, error)
     return Cause(
@@ -195,6 +200,18 @@ def cause_of(
         answer=answer,
         why=why,
         error=error,
+    )
+
+
+def _effect(parts: NDArray[np.float64], error: float, *, after: float = 0.0) -> Effect:
+    """Return the mean of trials' parts; `after` is the p-value of what was tested before."""
+    halves, confidence = [(1.0 + parts) / 2.0], 1.0 - error
+    return Effect(
+        size=float(np.mean(parts)),
+        p=max(after, p_above(halves, 0.5)),
+        interval=Interval(
+            2.0 * lower_bound(halves, confidence) - 1.0, 2.0 * upper_bound(halves, confidence) - 1.0
+        ),
     )
 
 

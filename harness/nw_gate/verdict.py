@@ -39,7 +39,9 @@ class SceneScore:
     completed: int
     mean: float | None  # Mean success; None without results.
     interval: Interval  # Of mean success: stratified bootstrap.
-    weak: bool = False  # Its whole interval lies below the bar.
+    weak: bool = False
+    """Its whole interval lies below the bar. The interval is of this scene alone: with many scenes
+    at the bar some are weak by chance, and no verdict rests on it."""
     flagged: bool = False  # Critical, and significantly below the bar: REGRESSED by itself.
     outside: int = 0  # Trials that left the captured volume, and are in nothing above.
     split: Literal["train", "eval"] | None = None  # Whether the policy was trained in it.

@@ -575,7 +575,7 @@ def _more(
         numbers_of(met, judged, panel, found.basis, bank),
         outset.rules,
         known=met.ended(met.places(judged).tolist()),
-        waypoints=[len(course.counts) - 1 for course in outset.seen],
+        seen=outset.seen,
     )
     words = about_more_trials(progress)
     return f"{words}; --resume with more --trials runs them" if progress.settled else words

@@ -42,6 +42,7 @@ from nw_gate.stats.power import SceneCounts
 NOTHING_MORE = (
     "every start of the baseline was met: a baseline with more starts, and as many trials, goes on"
 )
+_SO_FAR = "if the candidate is as it looks so far"
 _FEW = 400
 """Simulated gates where a report waits for them: the standard error is at most 2.5 %."""
 
@@ -171,6 +172,8 @@ def in_a_sentence(points: tuple[CurvePoint, CurvePoint, CurvePoint]) -> str:
 def about_more_trials(progress: Progress) -> str:
     """Return in words about how many more trials would settle a run: a spread, never one number.
 
+    It is said of the candidate as it looks so far: of all candidates that look alike, not of each.
+
     Args:
         progress: of simulated ends of the run, after each further trial that may be run.
     """
@@ -178,15 +181,17 @@ def about_more_trials(progress: Progress) -> str:
     if not left:
         return NOTHING_MORE
     half, most = trials_for(settled, 0.5), trials_for(settled, 0.9)
+    first = left if half is None else half
+    words = (
+        f"{_SO_FAR}, about {plural(first, 'more trial')} {'decides' if first == 1 else 'decide'}"
+    )
     if half is None:
-        verb = "decides" if left == 1 else "decide"
-        return f"{plural(left, 'more trial')} {verb} with {percent(settled[-1])} probability"
-    within = f"{plural(half, 'more trial')} {'decides' if half == 1 else 'decide'}"
+        return f"{words} with {percent(settled[-1])} probability"
     if half == most:
-        return f"{within} with 90 % probability"
+        return f"{words} with 90 % probability"
     if most is None:
-        return f"{within} with 50 % probability, {left} with {percent(settled[-1])}"
-    return f"{within} with 50 % probability, {most} with 90 %"
+        return f"{words} with 50 % probability, {left} with {percent(settled[-1])}"
+    return f"{words} with 50 % probability, {most} with 90 %"
 
 
 def _outset(

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
-from math import log
+from math import lgamma, log
 from typing import NamedTuple
 
 import numpy as np
@@ -110,6 +110,56 @@ def likely_chances(
     """
     draws = [rng.beta(passed, failed, repetitions) for passed, failed in _weights(courses)]
     return np.stack(draws, axis=1)
+
+
+_FACTORS = np.linspace(-6.0, 6.0, 241)
+"""Logarithms of the factor by which a policy's odds may differ from the baseline's."""
+_CLOSENESS = np.array([2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0])
+"""How many waypoints of a scene the baseline and the other scenes may count for."""
+_log_gamma = np.frompyfunc(lgamma, 1, 1)
+
+
+def chances_beside(
+    courses: Sequence[SceneCounts],
+    baseline: Sequence[SceneCounts],
+    repetitions: int,
+    rng: np.random.Generator,
+) -> Floats:
+    """Return draws of what the chances may be, given a baseline's as well, shape (repetitions, S).
+
+    The policy's odds are the baseline's times one factor in all scenes, about which each scene
+    departs by itself: with m the chance in a scene at these odds, its own is Beta(a m, a (1 - m)).
+    Beforehand the logarithms of the factor and of a are anything on a grid, equally likely. Both
+    are drawn from their posterior, and then each scene's chance from its own. A scene that is
+    waited for because it did worst did so by bad luck, too: what its few trials say is moved
+    towards what the other scenes and the baseline say.
+
+    Args:
+        courses: what was seen of the policy; a scene may have no trial.
+        baseline: what was seen of the baseline in the same scenes.
+        repetitions: how many draws.
+        rng: what draws.
+
+    Source: A. Gelman et al., Bayesian Data Analysis, 3rd edition (2013), section 5.3.
+    """
+    # Half a waypoint each: no scene is so surely perfect that one failure there cannot be.
+    odds = np.log([(course.passed + 0.5) / (course.failed + 0.5) for course in baseline])
+    m = 1.0 / (1.0 + np.exp(-(odds + _FACTORS[:, None])))
+    a = _CLOSENESS[:, None] * m[:, None, :]
+    b = _CLOSENESS[:, None] - a
+    passed, failed = (
+        np.array([getattr(course, name) for course in courses]) for name in ("passed", "failed")
+    )
+    likelihood = (_log_beta(a + passed, b + failed) - _log_beta(a, b)).sum(axis=-1)
+    weights = np.exp(likelihood - likelihood.max())
+    which = rng.choice(weights.size, repetitions, p=weights.ravel() / weights.sum())
+    factor, closeness = np.unravel_index(which, weights.shape)
+    return rng.beta(a[factor, closeness] + passed, b[factor, closeness] + failed)
+
+
+def _log_beta(a: Floats, b: Floats) -> Floats:
+    one, other, both = (np.asarray(_log_gamma(x), np.float64) for x in (a, b, a + b))
+    return one + other - both
 
 
 def _weights(courses: list[SceneCounts]) -> list[tuple[float, float]]:

@@ -363,8 +363,8 @@ def test_an_open_run_says_about_how_many_more_trials_would_settle_it(
     verdict = judge_run(drawn_rows(run, dict.fromkeys("ab", 1.0)), run, Gate(), against)
     assert verdict.verdict == "INCONCLUSIVE"
     assert re.fullmatch(
-        r"\d+ more trials decide with \d+ % probability(, \d+ with \d+ %)?; --resume with more "
-        "--trials runs them",
+        r"if the candidate is as it looks so far, about \d+ more trials decide with \d+ % "
+        r"probability(, \d+ with \d+ %)?; --resume with more --trials runs them",
         verdict.reasons[1],
     )
 

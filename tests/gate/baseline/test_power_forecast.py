@@ -120,7 +120,6 @@ def test_a_budget_and_what_is_compared_with_can_be_said(panel):
 @pytest.mark.parametrize(
     ("passed", "words"),
     [
-        ((), NOTHING_MORE),
         ((0.2,), "1 more trial decides with 20 % probability"),
         ((0.0, 0.2), "2 more trials decide with 20 % probability"),
         (
@@ -133,4 +132,8 @@ def test_a_budget_and_what_is_compared_with_can_be_said(panel):
 )
 def test_about_how_many_more_trials_is_a_spread(passed, words):
     progress = Progress(passed=passed, regressed=tuple(0.0 for _ in passed))
-    assert about_more_trials(progress) == words
+    assert about_more_trials(progress) == f"if the candidate is as it looks so far, about {words}"
+
+
+def test_of_a_run_that_met_all_starts_nothing_more_is_said():
+    assert about_more_trials(Progress(passed=(), regressed=())) == NOTHING_MORE

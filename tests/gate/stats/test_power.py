@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from nw_gate.stats.betting import evidence_above
-from nw_gate.stats.power import SceneCounts, chances_at, ends, shares_after, shares_at
+from nw_gate.stats.power import (
+    SceneCounts,
+    chances_at,
+    chances_beside,
+    ends,
+    shares_after,
+    shares_at,
+)
 
 # The hurdles suite as it was measured, ten trials in each of 16 scenes: the waypoints of a scene,
 # and how many trials ended after 0, 1, ... of them. Scene means .525, .9, 3 x .933, 3 x .95,
@@ -144,3 +151,33 @@ def test_the_chance_to_be_decided_comes_true_as_often_as_it_says(monkeypatch):
         assert happened[part].mean() == pytest.approx(foretold[part].mean(), abs=0.15)
     assert foretold[foretold > 0.5].mean() > 0.6
     assert foretold[foretold <= 0.5].mean() < 0.3
+
+
+def test_a_scene_that_did_worst_is_moved_towards_what_the_others_and_the_baseline_say():
+    rng, k = np.random.default_rng(4), 4
+    baseline = [SceneCounts.of([k] * 57 + [0] * 3, [k])] * 16
+    usual, unlucky = (
+        SceneCounts.of([k] * 18 + [0] * 2, [k]),
+        SceneCounts.of([k] * 14 + [0] * 6, [k]),
+    )
+    drawn = chances_beside([unlucky, *[usual] * 15], baseline, 2000, rng).mean(axis=0)
+    own = [course.passed / (course.passed + course.failed) for course in (unlucky, usual)]
+    assert own[0] + 0.01 < drawn[0] < drawn[1:].min()
+    assert drawn[1:].mean() == pytest.approx(own[1], abs=0.01)
+
+
+def test_a_scene_that_departs_from_the_others_for_sure_is_believed():
+    rng, k = np.random.default_rng(4), 4
+    baseline = [SceneCounts.of([k] * 57 + [0] * 3, [k])] * 4
+    usual, lost = SceneCounts.of([k] * 57 + [0] * 3, [k]), SceneCounts.of([0] * 60, [k])
+    drawn = chances_beside([lost, *[usual] * 3], baseline, 2000, rng).mean(axis=0)
+    assert drawn[0] < 0.1
+    assert drawn[1:].min() > 0.95
+
+
+def test_a_scene_without_trials_is_as_the_baseline_and_the_other_scenes_are():
+    rng, k = np.random.default_rng(4), 4
+    baseline = [SceneCounts.of([k] * 57 + [0] * 3, [k])] * 8
+    same, unmet = SceneCounts.of([k] * 57 + [0] * 3, [k]), SceneCounts.of([], [k])
+    drawn = chances_beside([unmet, *[same] * 7], baseline, 2000, rng).mean(axis=0)
+    assert drawn[0] == pytest.approx(drawn[1:].mean(), abs=0.02)

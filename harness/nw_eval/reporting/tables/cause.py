@@ -21,8 +21,8 @@ def answer_words(cause: Cause) -> str:
     parts = [
         f"{cause.new} loses {cause.drop.size:.3f} against {cause.old} in "
         + plural(cause.trials, "trial"),
-        f"{cause.sight.size:+.3f} by sight {_chance(cause.sight)}",
-        f"{cause.control.size:+.3f} by control {_chance(cause.control)}",
+        f"{cause.sight.size:+.3f} by sight ({_how_sure(cause.sight, cause.error)})",
+        f"{cause.control.size:+.3f} by control ({_how_sure(cause.control, cause.error)})",
     ]
     words = f"{head}: {parts[0]}: {parts[1]}, {parts[2]}"
     return f"{words}; {cause.why}" if cause.why else words
@@ -66,9 +66,14 @@ def cause_table(cause: Cause | None) -> Table:
         note=f"{answer_words(cause)}. {differences_words(cause)} Sight is the sensors of the world "
         "around and where cameras sit, control is all the rest; each row is a policy that ran in "
         "the same trials. An effect that is none is named in fewer than "
-        f"{cause.error * 100:.0f} % of such comparisons.",
+        f"{cause.error * 100:.0f} % of such comparisons. The ends of an interval are of its "
+        "effect alone.",
     )
 
 
-def _chance(effect: Effect) -> str:
-    return f"(p {effect.p:.3f})" if effect.p >= 0.001 else "(p < 0.001)"
+def _how_sure(effect: Effect, error: float) -> str:
+    p = f"p {effect.p:.3f}" if effect.p >= 0.001 else "p < 0.001"
+    if effect.interval is None:
+        return p
+    low, high = effect.interval
+    return f"{low:+z.2f} to {high:+z.2f} at {100 * (1 - error):.4g} % each, {p}"

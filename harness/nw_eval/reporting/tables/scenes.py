@@ -123,6 +123,7 @@ def scenes_table(verdict: Verdict, rows: Sequence[Row] = (), *, brief: bool = Fa
                 (
                     _what_counts(rows),
                     _bootstrapped(own) if any(owned) else "",
+                    _WEAK if any(item.weak for item in verdict.per_scene) else "",
                     "" if found is None else _note(found, change),
                 ),
             )
@@ -217,6 +218,12 @@ def _bootstrapped(header: str) -> str:
         f"{uncorrected('scene', header)} It is a Bayesian bootstrap of the scene's trials; the "
         "verdict uses bounds that hold for any distribution."
     )
+
+
+_WEAK = (
+    "A scene is below the bar by itself if its whole interval is. This is not corrected for the "
+    "number of scenes either: of many scenes at the bar, some are below it by chance."
+)
 
 
 def _of_splits(scores: Sequence[SceneScore]) -> str:

@@ -11,9 +11,10 @@ and a curve over drops is smooth. Between the margins either verdict is legitima
 gate is worth stands in no single number, but in this curve.
 
 **Further trials of a run that was not decided.** How good the candidate really is remains unknown:
-its chances are drawn anew for each simulated end, from what they may be after its own trials. So
-"about N more trials" is no number but a spread, from runs that the next trial ends to those that no
-number of trials does.
+its chances are drawn anew for each simulated end, from what they may be after its own trials and
+the baseline's (`chances_beside`). So "about N more trials" is no number but a spread, from runs
+that the next trial ends to those that no number of trials does. It is right for candidates that
+look alike: one that lies midway between the margins takes longer, and its trials do not show it.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ import numpy as np
 
 from nw_gate.stats.bank.evidence import Bank, Floats, Places, Truths
 from nw_gate.stats.bank.trials import DrawnTrials, TrialDecision, TrialRules, settle_all
-from nw_gate.stats.power import SceneCounts, chances_at, likely_chances, seeded
+from nw_gate.stats.power import SceneCounts, chances_at, chances_beside, seeded
 
 Against = Literal["fresh", "panel", "control"]
 """What a gate speaks of, and what it compares with. fresh: fresh starts, M is infinite; panel: the
@@ -289,10 +290,15 @@ def progress_from(
     rules: TrialRules,
     *,
     known: Sequence[bool] | Truths,
-    waypoints: Sequence[int],
+    seen: Sequence[SceneCounts],
     repetitions: int = REPETITIONS,
 ) -> Progress:
-    """Return the shares in which each further trial would have ended a run.
+    """Return the shares in which each further trial would have ended a run, as it looks so far.
+
+    Simulated with the committed baseline of hurdles, gates that 320 trials left open, true drops of
+    0 to .10 by three kinds of failure, pooled: 52 % were decided by the trials after which half of
+    the simulated ends are, and 90 % by those of nine tenths; after 64 trials 45 and 86 %. Of a true
+    drop of .06 alone 46 and 90 %, after 64 trials 28 and 72 %; of .10 68 and 92 %, 57 and 93 %.
 
     Args:
         bank: of the baseline, or `Bank.control`, without leading axes.
@@ -301,7 +307,7 @@ def progress_from(
             where a trial that has ended has no result.
         rules: of the gate.
         known: which have ended, shape (T,).
-        waypoints: k of each scene, shape (S,).
+        seen: the baseline's trials in each scene.
         repetitions: simulated ends.
 
     Returns:
@@ -315,12 +321,14 @@ def progress_from(
     if not more:
         return Progress(passed=(), regressed=())
     rng = _seeded_by(trials, ended)
-    shape, k = (repetitions, len(ended)), np.array(waypoints, dtype=np.intp)
+    shape = (repetitions, len(ended))
+    k = np.array([len(course.counts) - 1 for course in seen], dtype=np.intp)
     scenes = np.broadcast_to(trials.scenes, shape)
 
     def simulated(scores: Floats) -> Floats:
         """Return scores, those to come drawn by what the ended ones say, (repetitions, T)."""
-        chances = likely_chances(_counts(scores[ended], trials.scenes[ended], k), repetitions, rng)
+        met = _counts(scores[ended], trials.scenes[ended], k)
+        chances = chances_beside(met, seen, repetitions, rng)
         drawn = scores_of(rng.random(shape), chances, scenes, k)
         return np.where(ended, scores, drawn)
 

@@ -3,20 +3,35 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from nw_gate.stats.bank.curve import Progress, progress_from, trials_for
-from nw_gate.stats.bank.evidence import Bank, Margins
-from nw_gate.stats.bank.trials import DrawnTrials, TrialRules, settle
+from nw_gate.baseline.power_forecast import outset_of_bank
+from nw_gate.results.bank_file import read_bank
+from nw_gate.settings import Gate
+from nw_gate.stats.bank.curve import (
+    Progress,
+    chances_of,
+    progress_from,
+    scores_of,
+    success_of,
+    trials_for,
+)
+from nw_gate.stats.bank.evidence import Bank, Floats, Margins, Places
+from nw_gate.stats.bank.trials import DrawnTrials, TrialRules, settle, settle_all
+from nw_gate.stats.power import SceneCounts
 
+BASELINES = Path(__file__).parents[4] / "reports" / "baselines"
 SCENES, STARTS = 8, 60
 ALL = SCENES * STARTS
 RULES = TrialRules(tiers=("supporting",) * SCENES)
 rng = np.random.default_rng(12)
 BASELINE = (rng.random((SCENES, STARTS, 4)) < 0.98).cumprod(-1).sum(-1) / 4
 BANK = Bank.of(BASELINE)
+SEEN = [SceneCounts.of(reached.tolist(), [4]) for reached in np.rint(4 * BASELINE).astype(int)]
 ORDER = rng.permutation(ALL)
 
 
@@ -42,7 +57,7 @@ def after(
         trials,
         rules,
         known=np.arange(ALL) < count,
-        waypoints=[4] * SCENES,
+        seen=SEEN,
         repetitions=300,
     )
 
@@ -85,11 +100,56 @@ def test_the_ends_that_are_simulated_are_those_that_come():
     assert found / 60 == pytest.approx(ends / 60, abs=0.13)
 
 
+def of_hurdles(drop: float, kind: str) -> tuple[Floats, Places, list[SceneCounts]]:
+    """Return scores of 1200 policies on the committed hurdles, their scenes, and its counts.
+
+    The drop is one factor of the odds in all scenes, or a share of trials that reach nothing.
+    """
+    panel = read_bank(BASELINES / "hurdles" / "go1-parkour.parquet").panels[0]
+    seen = list(outset_of_bank(panel, Gate()).seen)
+    starts, gates = seen[0].trials, np.random.default_rng(round(100 * drop))
+    order = gates.permuted(np.tile(np.arange(len(seen) * starts), (1200, 1)), axis=1)
+    scenes = order // starts
+    lost = drop if kind == "odds" else 0.0
+    k = np.array([len(course.counts) - 1 for course in seen])
+    chances = chances_of(seen, success_of(seen) - lost)
+    scores = scores_of(gates.random(scenes.shape), chances, scenes, k)
+    nothing = gates.random(scenes.shape) < (drop - lost) / success_of(seen)
+    return np.where(nothing, 0.0, scores), scenes, seen
+
+
+def test_of_open_runs_against_the_committed_hurdles_as_many_are_decided_as_is_said():
+    budget, within = 320, {0.5: list[bool](), 0.9: list[bool]()}
+    for drop, kind in product((0.03, 0.06, 0.08, 0.1), ("odds", "nothing")):
+        scores, scenes, seen = of_hurdles(drop, kind)
+        rules = TrialRules(tiers=("supporting",) * len(seen))
+        bank = Bank(means=np.array([c.counts @ c.values / c.trials for c in seen]))
+        whole = DrawnTrials(scenes=scenes, candidate=scores, baseline=bank.means[scenes])
+        first = settle_all(bank, whole.only(np.arange(len(scores)), budget), rules)
+        is_open = [gate for gate, end in enumerate(first) if end.word == "undecided"][:16]
+        known = np.arange(scenes.shape[-1]) < budget
+        for gate in is_open:
+            one = DrawnTrials(
+                scenes=scenes[gate], candidate=scores[gate], baseline=bank.means[scenes[gate]]
+            )
+            end = settle(bank, one, rules)
+            more = sum(place >= budget for place in (*range(end.mean), *end.followed))
+            found = progress_from(bank, one, rules, known=known, seen=seen, repetitions=100)
+            for share, decided in within.items():
+                if (number := trials_for(found.settled, share)) is not None:
+                    decided.append(end.word != "undecided" and more <= number)
+    assert min(map(len, within.values())) > 40
+    assert {share: np.mean(decided) for share, decided in within.items()} == {
+        0.5: pytest.approx(0.5, abs=0.2),
+        0.9: pytest.approx(0.9, abs=0.15),
+    }
+
+
 def test_what_has_ended_beyond_the_trial_that_is_waited_for_is_known():
     # Place 39 still runs; 16 later ones have ended: one more trial judges 17.
     trials = run(1.0, 56)
     known = (np.arange(ALL) < 56) & (np.arange(ALL) != 39)
-    found = progress_from(BANK, trials, RULES, known=known, waypoints=[4] * SCENES, repetitions=300)
+    found = progress_from(BANK, trials, RULES, known=known, seen=SEEN, repetitions=300)
     assert len(found.passed) == ALL - 55
     assert found.passed[0] > 0.9
 
@@ -110,13 +170,14 @@ def test_a_scene_that_is_named_already_holds_back_no_pass():
 def test_a_run_that_only_waits_for_a_scene_needs_trials_of_that_scene_alone():
     ones, scenes = np.ones(240), np.tile(np.arange(4), 60)
     candidate = np.where(np.isin(np.arange(240), [3, 7]), 0.0, 1.0)
-    rules = TrialRules(tiers=("supporting",) * 4, margins=Margins(max_drop=0.4))
+    rules = TrialRules(tiers=("supporting",) * 4, margins=Margins(max_drop=0.5))
     bank = Bank(means=np.ones(4))
     whole = DrawnTrials(scenes=scenes, candidate=candidate, baseline=ones)
     known = np.arange(240) < settle(bank, whole, rules).mean
     decision = settle(bank, whole, rules, known)
     assert (decision.word, decision.waits_for) == ("undecided", (3,))
-    found = progress_from(bank, whole, rules, known=known, waypoints=[4] * 4, repetitions=200)
+    perfect = [SceneCounts.of([4] * 60, [4])] * 4
+    found = progress_from(bank, whole, rules, known=known, seen=perfect, repetitions=200)
     # Sixty starts of the scene, of which some have been met: nothing is judged after those.
     last = 60 - int((scenes[known] == 3).sum())
     assert found.settled[0] < 0.5 < found.settled[last - 1]
