@@ -137,7 +137,7 @@ MOST = {
         ("nw_learn", "nw_twin"),
     ),
     "nw_gate": Figures(
-        16075,
+        16413,
         8,
         ("nw_eval", "nw_learn", "nw_sim", "nw_twin"),
     ),

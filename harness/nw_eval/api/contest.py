@@ -353,7 +353,7 @@ class Beside:
         self._session.run_these(self.places)
         standing = RunStanding(first=0, followed=tuple(sorted(self.places)))
         is_whole = len(self.places) == len(self._plan.trials) or self.is_interrupted
-        self._session.save(None if is_whole else stop_of(self._plan, standing))
+        self._session.write_rows(None if is_whole else stop_of(self._plan, standing))
         own = self._session.info
         if own.cache is not None and own.cache.differing:
             raise TrialError(

@@ -245,9 +245,9 @@ class Session:
         """
         if self._attempts is not None:
             self._running.close()
-        self.save(stop)
+        self.write_rows(stop)
 
-    def save(self, stop: StopInfo | None) -> None:
+    def write_rows(self, stop: StopInfo | None) -> None:
         """Write the rows that are judged, and run.json; more trials may run afterwards.
 
         Args:

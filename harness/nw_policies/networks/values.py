@@ -1,4 +1,4 @@
-"""Values of a graph that is recorded, by the tensors of torch that hold them; rules write with it."""
+"""Values of a graph that is recorded, by the tensors of torch that hold them; rules use it."""
 
 from __future__ import annotations
 
