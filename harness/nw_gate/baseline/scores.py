@@ -43,7 +43,11 @@ from nw_gate.results.row import Row
 from nw_gate.scores import ScoreSpec
 from nw_gate.settings import Gate, ScoreGate
 from nw_gate.stats.bank.evidence import Bank
-from nw_gate.stats.bank.interval import drop_interval_after, scene_drop_intervals
+from nw_gate.stats.bank.interval import (
+    drop_interval_after,
+    drops_ruled_out,
+    scene_drop_intervals,
+)
 from nw_gate.stats.bank.trials import DrawnTrials
 from nw_gate.stats.betting import lower_bound, upper_bound
 from nw_gate.stats.interval import Interval
@@ -317,7 +321,14 @@ def _by_baseline(
         )
         return "INVALID", reason, found
     alpha_pass, alpha_regr = 1.0 - gate.confidence, gate.false_alarm / gate.shared
-    drops = drop_interval_after(bank, seen, alpha_pass=alpha_pass, alpha_regr=alpha_regr)
+    drops = drop_interval_after(
+        bank,
+        seen,
+        alpha_pass=alpha_pass,
+        alpha_regr=alpha_regr,
+        # Within a round the order of scenes is fixed, and a bet that learns would know it.
+        learns=not setup.goes_by_rounds,
+    )
     now = float(seen.candidate[pairs].mean())
     drop = float((known - seen.candidate)[pairs].mean()) * spec.width
     low, high = drops.low * spec.width, drops.high * spec.width
@@ -435,10 +446,12 @@ def _simulated(
         baseline=bank.means[scenes],
         scenes=scenes,
     )
-    alpha_regr = gate.false_alarm / gate.shared
-    drops = drop_interval_after(
-        bank, drawn, alpha_pass=1.0 - gate.confidence, alpha_regr=alpha_regr
+    above, below = drops_ruled_out(
+        bank,
+        drawn,
+        (asked.tolerated / spec.width, (asked.max_drop or 0.0) / spec.width),
+        alpha_pass=1.0 - gate.confidence,
+        alpha_regr=gate.false_alarm / gate.shared,
+        learns=True,
     )
-    if drops.high * spec.width < (asked.max_drop or 0.0):
-        return "PASS"
-    return "REGRESSED" if drops.low * spec.width > asked.tolerated else "INCONCLUSIVE"
+    return "PASS" if below else "REGRESSED" if above else "INCONCLUSIVE"

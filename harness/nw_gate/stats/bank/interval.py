@@ -11,15 +11,28 @@ probability at most alpha, so that over all trials together the low end is above
 probability at most alpha_regr, and the high end below it with at most alpha_pass: one may look
 after every trial, and stop when one likes.
 
+**Bets that learn.** Fixed bets suit success, which is all or nothing in many trials. A score whose
+trials scatter by a few percent of its range allows far larger bets, and how large shows in the
+trials before. So half of the capital may bet, against a mean of at most n, the share
+
+    l_t = min(d_t / (v_t + d_t^2), c / n),  d_t = max(m_t - n, 0),  c in {.3, .9, .99},
+
+where m_t and v_t are mean and variance of the values before t, with one value n and a standard
+deviation of .04 before the first. Given the past l_t is fixed, and each value has at most the
+expectation n where scene and start are drawn at random, so that the capital
+prod_t (1 + l_t (y_t - n)) is a supermartingale under the null, as that of fixed bets is.
+
 Source: I. Waudby-Smith and A. Ramdas, "Confidence sequences for sampling without replacement",
 NeurIPS 33 (2020), arXiv 2006.04347, section 2; J. Ville, "Etude critique de la notion de collectif"
-(1939).
+(1939); for bets that learn I. Waudby-Smith and A. Ramdas, "Estimating means of bounded random
+variables by betting", JRSS B 86 (2024), appendix B.3 (aGRAPA).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 
@@ -46,7 +59,12 @@ _TIMES_ALONE = 3
 
 
 def drop_interval_after(
-    bank: Bank, trials: DrawnTrials, *, alpha_pass: float = 0.05, alpha_regr: float = 0.01
+    bank: Bank,
+    trials: DrawnTrials,
+    *,
+    alpha_pass: float = 0.05,
+    alpha_regr: float = 0.01,
+    learns: bool = False,
 ) -> Interval:
     """Return the drops of mean success that are not ruled out after T trials of the random order.
 
@@ -55,6 +73,8 @@ def drop_interval_after(
         trials: those that the evidence on the mean rests on, shape (T,).
         alpha_pass: probability, at most, that the high end is below the true drop.
         alpha_regr: probability, at most, that the low end is above it.
+        learns: whether half of the capital bets by what the trials before show: for scores, of a
+            baseline without an end (`Bank.fresh`, or a control). With another one none does.
 
     Returns:
         An interval within B - 1 to B, or -1 to 1 beside a control; all of it without trials. Where
@@ -64,7 +84,8 @@ def drop_interval_after(
     Raises:
         ValueError: there are more trials than pairs of a scene and a start.
     """
-    return _interval(bank, trials, (alpha_pass, alpha_regr), _TIMES)
+    learns = learns and bank.starts == inf
+    return _interval(bank, trials, (alpha_pass, alpha_regr), _TIMES, learns=learns)
 
 
 def scene_drop_intervals(
@@ -99,12 +120,52 @@ def scene_drop_intervals(
     return tuple(found)
 
 
-def _interval(bank: Bank, trials: DrawnTrials, alphas: tuple[float, float], times: int) -> Interval:
+def _interval(
+    bank: Bank,
+    trials: DrawnTrials,
+    alphas: tuple[float, float],
+    times: int,
+    *,
+    learns: bool = False,
+) -> Interval:
     """Return the drops that are not ruled out; `times` is how often a search keeps one part."""
     high = 1.0 if bank.paired else float(bank.mean[0])
     low = -1.0 if bank.paired else high - 1.0
     if not len(trials.scenes):
         return Interval(low, high)
+    too_small, too_large = _ruled_out(bank, trials, alphas, learns=learns)
+    ends = [
+        float(_first(holds, np.array([low]), np.array([high]), times)[0])
+        for holds in (lambda drops: ~too_small(drops), too_large)
+    ]
+    return Interval(min(ends), max(ends))
+
+
+def drops_ruled_out(
+    bank: Bank,
+    trials: DrawnTrials,
+    drops: tuple[float, float],
+    *,
+    alpha_pass: float,
+    alpha_regr: float,
+    learns: bool = False,
+) -> tuple[bool, bool]:
+    """Return whether a drop is ruled out as too small, and another one as too large.
+
+    That is where they lie beside the interval of `drop_interval_after`, of which the other
+    arguments are, and takes a hundredth of its time.
+    """
+    too_small, too_large = _ruled_out(
+        bank, trials, (alpha_pass, alpha_regr), learns=learns and bank.starts == inf
+    )
+    small, large = (np.array([[drop]]) for drop in drops)
+    return bool(too_small(small)[0, 0]), bool(too_large(large)[0, 0])
+
+
+def _ruled_out(
+    bank: Bank, trials: DrawnTrials, alphas: tuple[float, float], *, learns: bool
+) -> tuple[Callable[[Floats], Truths], Callable[[Floats], Truths]]:
+    """Return what says of drops whether they are ruled out as too small, and as too large."""
     ups, downs = above_at(bank, trials.counted(0.0)), below_at(bank, trials.counted(1.0))
     pairs = bank.starts * len(bank.means)
     alpha_pass, alpha_regr = alphas
@@ -114,19 +175,49 @@ def _interval(bank: Bank, trials: DrawnTrials, alphas: tuple[float, float], time
             along(np.broadcast_to(y, (*null.shape, len(y))), null, pairs, bets)[..., -1]
             for y, null in zip(values, nulls, strict=True)
         ]
+        if learns:
+            learnt = [_learnt(y, null) for y, null in zip(values, nulls, strict=True)]
+            each = [(one + other) / 2.0 for one, other in zip(each, learnt, strict=True)]
         return np.mean(each, axis=0)
 
-    def not_too_small(drops: Floats) -> Truths:
-        return ~(last(downs, nulls_at_most(bank, drops), DOWN) >= 1.0 / alpha_regr)
+    def too_small(drops: Floats) -> Truths:
+        return last(downs, nulls_at_most(bank, drops), DOWN) >= 1.0 / alpha_regr
 
     def too_large(drops: Floats) -> Truths:
         return last(ups, nulls_at_least(bank, drops), UP) >= 1.0 / alpha_pass
 
-    ends = [
-        float(_first(holds, np.array([low]), np.array([high]), times)[0])
-        for holds in (not_too_small, too_large)
-    ]
-    return Interval(min(ends), max(ends))
+    return too_small, too_large
+
+
+_CAPS, _SHARES = (0.3, 0.9, 0.99), (0.25, 0.5, 0.25)
+"""Of the largest bet that cannot go bankrupt, and of the capital that bets so at most."""
+_PRIOR = 0.04**2
+"""Variance of values before the first trial."""
+_LEAST, _MOST = 1e-6, 1e150
+
+
+def _learnt(values: Floats, nulls: Floats) -> Floats:
+    """Return the capital, against each null, of a bettor who learns from the values before.
+
+    Args:
+        values: y in the order drawn, shape (T,).
+        nulls: n, any shape.
+
+    Returns:
+        Of the shape of the nulls, after the last value.
+    """
+    null = np.maximum(nulls, _LEAST)
+    capital = [np.ones_like(null) for _ in _CAPS]
+    total = squares = 0.0
+    for count, value in enumerate(values.tolist(), start=1):
+        edge = np.maximum((null + total) / count - null, 0.0)
+        wanted = edge / ((_PRIOR + squares) / count + edge * edge)
+        for which, cap in enumerate(_CAPS):
+            won = 1.0 + np.minimum(wanted, cap / null) * (value - null)
+            capital[which] = np.minimum(capital[which] * won, _MOST)
+        total += value
+        squares += (value - total / count) ** 2
+    return sum((s * each for s, each in zip(_SHARES, capital, strict=True)), np.zeros_like(null))
 
 
 def _first(holds: Callable[[Floats], Truths], low: Floats, high: Floats, times: int) -> Floats:
