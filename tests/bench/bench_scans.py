@@ -25,7 +25,7 @@ from scanned import write_scan
 from nw_base.trials import Trial
 from nw_policies import load_bundle
 from nw_sim.catalogue import get_scene, names
-from nw_sim.rollout import trial as rollout_trial
+from nw_sim.rollout import opening
 from nw_sim.rollout.job import TrialJob
 from nw_sim.rollout.library import Library
 from nw_sim.rollout.trial import run_trial
@@ -69,7 +69,7 @@ def one(reference, scene, index, bundle, library) -> float:
         checkpoint_digest=bundle.checkpoint_digest,
     )
     # A scan has a digest, and so starts, of its own; here it is given those of the place.
-    with mock.patch.object(rollout_trial, "_check_same"):
+    with mock.patch.object(opening, "_check_same"):
         result = run_trial(job, library=library)
     assert not result.error_text, result.error_text
     return result.waypoints_reached / result.waypoints_total

@@ -68,7 +68,7 @@ def processor(monkeypatch):
     """Let this machine have a processor of some name."""
 
     def choose(name):
-        monkeypatch.setattr("nw_eval.engine.provenance.cpu_kind", lambda: name)
+        monkeypatch.setattr("nw_eval.engine.identity.cpu_kind", lambda: name)
 
     return choose
 

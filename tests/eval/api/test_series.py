@@ -82,7 +82,7 @@ def test_the_first_checkpoint_that_fell_is_found_and_a_search_goes_on_where_it_w
 def test_a_checkpoint_that_falls_by_a_gated_score_alone_is_flagged_and_the_score_is_named():
     """Stiffer servos walk as far for more than twice the power. Bars of scores are left out."""
     text = SUITE.partition("gate:")[0].replace("duration: 8.0", "duration: 3.0") + (
-        "gate:\n  success_rate: 0.99\n  max_drop: 0.3\n  rounds: 16\n  scores:\n"
+        "gate:\n  success_rate: 0.99\n  max_drop: 0.3\n  rounds: 16\n  least_starts: 1\n  scores:\n"
         "    mean_power: {max_drop: 60, range: [0, 300], bar: 1}\n"
         "    limit_time: {bar: 0.00001}\n"
     )

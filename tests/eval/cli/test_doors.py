@@ -7,6 +7,7 @@ import sys
 from command_line import ends
 
 from nw_base.errors import SceneError
+from nw_eval.cli.verbs import resolve
 
 HEAVY = ("mujoco", "torch", "numba", "onnxruntime", "pyarrow", "pandas", "matplotlib", "numpy")
 
@@ -33,6 +34,7 @@ def test_a_known_error_is_one_line_and_its_own_exit_code(capsys, monkeypatch):
     def fail(*_, **__):
         raise SceneError("scene 'x' has no floor", fix="add one")
 
+    resolve("scenes", "list")  # A verb is made of the function that it finds when it is imported.
     monkeypatch.setattr("nw_eval.api.list_scenes", fail)
     assert ends("scenes", "list") == 2
     assert capsys.readouterr().err == "error: scene 'x' has no floor; add one\n"
