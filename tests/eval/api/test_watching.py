@@ -37,7 +37,7 @@ seed: 7
 episode: {duration: 8.0}
 scenes: [hurdles/one_low_carpet]
 scores: [mean_power]
-gate: {max_drop: 0.5}
+gate: {max_drop: 0.5, least_starts: 1}
 """
 
 
