@@ -69,7 +69,8 @@ def save_baseline(
     Args:
         suite: a suite file or the name of a shipped one.
         policy: a shipped bundle's name, a bundle's folder, or a card; the suite's own if None.
-        trials: trials in each scene; as many as the baseline has, and 60 for a new one, if None.
+        trials: trials in each scene; as many as the baseline has, and for a new one 60, or 400 in
+            all in a suite of few scenes, if None.
         name: the baseline's name; the policy's if None.
         note: why it is saved; if empty, as before.
         run: the folder of a finished run to save as a baseline; nothing is run.

@@ -81,7 +81,8 @@ def bisect(
         bad: the checkpoint after the series.
         policy: whose card the weights are for; the suite's own policy if None.
         everyone: judge every checkpoint: searching alone seldom sees that a series is not monotone.
-        baseline_trials: trials in each scene of a baseline that is saved; 60 if None.
+        baseline_trials: trials in each scene of a baseline that is saved; as `baseline save` takes
+            if None.
         out: the folder of the runs, in which an interrupted search goes on;
             `reports/bisect-<suite>` if None.
         progress: hears which checkpoint is judged, and its verdict.
