@@ -415,7 +415,7 @@ def test_without_a_bank_the_first_line_says_what_is_not_judged(monkeypatch):
     assert "max_drop 0.5 was not judged: no baseline is named for ./soft" in ears.lines[0]
     assert "`nw-eval baseline save quick.yaml --policy ./soft`" in ears.lines[0]
     assert any(line.startswith("run folder: ") for line in ears.lines[1:])
-    named_bank = SUITE.replace("gate: {", "gate: {baseline: shipped, ")
+    named_bank = SUITE.replace("  {success_rate", "  {baseline: shipped, success_rate")
     Path("quick.yaml").write_text(named_bank)
     # It is for the suite's own policy, and for no other.
     assert api.plan("quick.yaml", policy="./soft").against is None
