@@ -370,7 +370,11 @@ def find(
         mean_regressed=bool((regressed >= 1.0 / rules.alpha_regr).any()),
         drop=_drop(bank, mean),
         control=_control(mean) if bank.paired else None,
-        interval=drop_interval_after(bank, mean, **alphas) if alone else None,
+        interval=drop_interval_after(
+            bank, mean, alpha_pass=rules.alpha_pass, alpha_regr=rules.alpha_regr
+        )
+        if alone
+        else None,
         alone=dict(zip(judged, scene_drop_intervals(bank, seen, **alphas), strict=True))
         if alone and used
         else {},

@@ -287,11 +287,13 @@ def _control_drop(
     drops = bank.means[seen.scenes] - seen.candidate
     if np.isnan(drops).all():
         return None
-    alphas = {
-        "alpha_pass": 1.0 - setup.gate.confidence,
-        "alpha_regr": setup.gate.false_alarm / setup.gate.shared,
-    }
-    return float(np.nanmean(drops)), drop_interval_after(bank, seen, **alphas)
+    ends = drop_interval_after(
+        bank,
+        seen,
+        alpha_pass=1.0 - setup.gate.confidence,
+        alpha_regr=setup.gate.false_alarm / setup.gate.shared,
+    )
+    return float(np.nanmean(drops)), ends
 
 
 def _scenes(setup: ComparisonSetup) -> set[str]:
