@@ -163,8 +163,8 @@ def test_what_it_says_of_versions_and_scenes_is_so():
 
 def test_make_run_ends_by_saying_how_to_go_on_and_with_the_code_of_the_run(tmp_path):
     (tmp_path / "bin").mkdir()
-    (tmp_path / ".installed").touch()
     (tmp_path / "bin" / "python").touch()
+    (tmp_path / ".installed").touch()  # Last: make installs what is older than its files.
     program = tmp_path / "bin" / "nw-eval"
     program.write_text("#!/bin/sh\necho ran: $*\nexit 3\n")
     program.chmod(0o755)
