@@ -79,8 +79,8 @@ def save_baseline(
             results on the suite's, such as the best of a training. What is compared with it on the
             suite's seed set counts as having met fresh starts.
         root: the folder of baselines; `reports/baselines` if None.
-        changes: of `Request`: checkpoint, render, time_limit, memory_limit, allow_code; of `How`:
-            workers, cache, listener.
+        changes: of `Request`: scenes, robot, checkpoint, render, time_limit, memory_limit,
+            allow_code; of `How`: workers, cache, listener.
 
     Raises:
         UsageError, SuiteError, PolicyError: nothing was run.

@@ -223,6 +223,10 @@ class Contest:
         again = recheck(rows, setup.run, setup.bank)
         if any(row.status == "error" for row in rows) or again.equal or again.differing:
             return RunStanding(first=first)
+        try:
+            setup.on(rows)
+        except IncomparableError:  # No further trial would help: the verdict says why.
+            return RunStanding(first=first)
         return None
 
     def _bar_by(self, ended: Mapping[int, Row], count: int) -> tuple[int, Word] | None:

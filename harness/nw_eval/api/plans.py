@@ -393,6 +393,8 @@ def _matched(plan: Plan, against: Against) -> Plan:
     setup = setup_of(run.model_copy(update={"baseline": known}), against, plan.suite.gate)
     if setup.basis != "same":
         check_level(setup.panel, setup.judged, plan.suite.gate)
+    elif plan.panel == "fresh":  # No bits can be the baseline's: its own policy is compared, too.
+        setup.check_comparable()
     is_own = setup.basis == "same" and plan.panel == "pinned" and plan.arm == "candidate"
     return replace(plan, is_baseline=is_own)
 

@@ -211,11 +211,6 @@ class Session:
     def __exit__(self, *error: Any) -> None:  # noqa: PYI036 - an exit stack wants their types.
         self._cleanup.__exit__(*error)
 
-    @property
-    def rows(self) -> Sequence[Row]:
-        """Of all trials that have ended, in this session or before."""
-        return self._journal.rows
-
     def keep(self, info: RunInfo) -> None:
         """Let run.json say something else."""
         self.info = info

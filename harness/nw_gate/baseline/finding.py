@@ -340,12 +340,8 @@ def find(
             used=tuple(places[ended].tolist()),
             evidence=dict.fromkeys(judged, 1.0),
         )
-    if not by_rounds:
-        check_level(panel, judged, gate)
-    bank, rules = (
-        bank_of(panel, judged, basis, claim),
-        rules_of(gate, judged, by_rounds=by_rounds),
-    )
+    check_level(panel, judged, gate)
+    bank, rules = bank_of(panel, judged, basis, claim), rules_of(gate, judged, by_rounds=by_rounds)
     trials = numbers_of(met, judged, panel, basis, bank)
     decision = settle(bank, trials, rules, ended)
     used = [*range(decision.mean), *decision.followed]

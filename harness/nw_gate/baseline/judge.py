@@ -22,6 +22,7 @@ from nw_gate.baseline.finding import (
     bank_of,
     budget_of,
     by_place,
+    check_level,
     find,
     margins_of,
     numbers_of,
@@ -82,18 +83,30 @@ class ComparisonSetup:
 
         Args:
             rows: of the candidate so far.
+
+        Raises:
+            IncomparableError: bits are others, and the baseline has too few starts for a claim, or
+                scores too little for a drop of max_drop.
         """
         done = [row for row in rows if row.status == "ok"]
         if self.basis != "same" or not done:
             return self
-        if met_others(self.run, self.bank):
-            check_starts(self.bank, self.gate, self.run)
-            return replace(self, basis="fresh", is_own=True)
-        again = recheck(done, self.run, self.bank)
-        if again.equal or again.differing:
-            return self
+        has_others = met_others(self.run, self.bank)
+        if not has_others:
+            again = recheck(done, self.run, self.bank)
+            if again.equal or again.differing:
+                return self
+        self.check_comparable()
+        return replace(self, basis="fresh" if has_others else "panel", is_own=True)
+
+    def check_comparable(self) -> None:
+        """Refuse a baseline whose results are no measure of the trials of any candidate.
+
+        Raises:
+            IncomparableError: as `check_starts` and `check_level`.
+        """
         check_starts(self.bank, self.gate, self.run)
-        return replace(self, basis="panel", is_own=True)
+        check_level(self.panel, self.judged, self.gate)
 
     @property
     def goes_by_rounds(self) -> bool:

@@ -637,6 +637,22 @@ def test_on_a_class_of_machine_that_the_bank_has_not_seen_its_own_policy_runs_an
         assert "judged against the baseline's results" in " ".join(judged.verdict.reasons)
 
 
+def test_a_small_baseline_is_no_measure_of_a_machine_with_other_bits_and_the_run_is_invalid():
+    Path("quick.yaml").write_text(SUITE.replace(" least_starts: 1,", ""))
+    forged(lambda bank: elsewhere(other_ways(bank)))
+    judged = against(policy=None)
+    assert (judged.verdict.verdict, judged.verdict.exit_code) == ("INVALID", 5)
+    assert (
+        "has 4 starts in each scene; a claim about new starts needs 30"
+        in (judged.verdict.reasons[0])
+    )
+    assert len(judged.rows) == 2, "no further trial would help"
+    assert (judged.folder / "report.md").exists()
+    # On fresh starts no bits can be the baseline's: that is known before anything runs.
+    with pytest.raises(IncomparableError, match="needs 30"):
+        against("fresh", policy=None, panel="fresh")
+
+
 def test_the_same_bits_with_other_results_make_the_run_invalid(capsys):
     def better(bank):
         best = {"success": 1.0, "completed": True, "outcome": "completed"}
