@@ -8,7 +8,8 @@ informational are not in it.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from math import isnan, nan
 from typing import Literal
 
@@ -22,6 +23,7 @@ from nw_gate.results.bank import Panel, Start, Stratum, score
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
 from nw_gate.settings import Gate
+from nw_gate.stats.bank.baseline_bets import BaselineBets, make_bets
 from nw_gate.stats.bank.evidence import Bank, Margins
 from nw_gate.stats.bank.interval import drop_interval_after, scene_drop_intervals
 from nw_gate.stats.bank.trials import SUSPECT, DrawnTrials, TrialRules, looks, settle
@@ -273,12 +275,43 @@ def bank_of(
     basis: Basis,
     claim: Claim,
     counted: Counted = score,
+    margins: Margins | None = None,
 ) -> Bank:
-    """Return what is known of the baseline before the first trial; `counted` as `Met.counted`."""
+    """Return what is known of the baseline before the first trial.
+
+    Args:
+        panel: of the baseline.
+        judged: strata that count.
+        basis: what the baseline is to the trials.
+        claim: of which starts it is to hold.
+        counted: as `Met.counted`.
+        margins: of success: bets are then made from the baseline for these.
+    """
     if basis == "control":
         return Bank.control(len(judged))
-    bank = Bank.of(np.array([scores_of(panel, stratum, counted) for stratum in judged]))
+    scores = np.array([scores_of(panel, stratum, counted) for stratum in judged])
+    bank = Bank.of(scores)
+    if margins is not None:
+        waypoints = tuple(
+            max(1, *(start.waypoints_total for start in panel.by_stratum[stratum]))
+            for stratum in judged
+        )
+        bets = _bets(scores.tobytes(), waypoints, margins, by_start=basis != "fresh")
+        bank = replace(bank, bets=bets)
     return bank if claim == "panel" else bank.fresh()
+
+
+@lru_cache(maxsize=8)  # A gate asks after each trial, and they take 50 ms.
+def _bets(
+    scores: bytes, waypoints: tuple[int, ...], margins: Margins, *, by_start: bool
+) -> BaselineBets:
+    return make_bets(
+        np.frombuffer(scores).reshape(len(waypoints), -1),
+        np.array(waypoints),
+        max_drop=margins.max_drop,
+        tolerate=margins.tolerate,
+        by_start=by_start,
+    )
 
 
 def numbers_of(
@@ -341,7 +374,8 @@ def find(
             evidence=dict.fromkeys(judged, 1.0),
         )
     check_level(panel, judged, gate)
-    bank, rules = bank_of(panel, judged, basis, claim), rules_of(gate, judged, by_rounds=by_rounds)
+    rules = rules_of(gate, judged, by_rounds=by_rounds)
+    bank = bank_of(panel, judged, basis, claim, margins=rules.margins)
     trials = numbers_of(met, judged, panel, basis, bank)
     decision = settle(bank, trials, rules, ended)
     used = [*range(decision.mean), *decision.followed]

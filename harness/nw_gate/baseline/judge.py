@@ -584,11 +584,12 @@ def _power_forecast(
 def _more(
     met: Met, judged: Sequence[Stratum], panel: Panel, found: Comparison, outset: Outset
 ) -> str:
-    bank = bank_of(panel, judged, found.basis, found.claim)
+    rules = outset.rules
+    bank = bank_of(panel, judged, found.basis, found.claim, margins=rules.margins)
     progress = progress_from(
         bank,
         numbers_of(met, judged, panel, found.basis, bank),
-        outset.rules,
+        rules,
         known=met.ended(met.places(judged).tolist()),
         seen=outset.seen,
     )

@@ -251,7 +251,8 @@ def trials_to_pass_baseline(
     judged = sorted(place for place in strata if gate.tier(place[0]) != "informational")
     met = Met(order=order, rows=[None] * len(order))
     basis = "fresh" if fresh else "panel"
-    bank = bank_of(panel, judged, basis, gate.claim if not fresh else "fresh")
+    claim = gate.claim if not fresh else "fresh"
+    bank = bank_of(panel, judged, basis, claim, margins=margins_of(gate))
     trials = numbers_of(met, judged, panel, basis, bank)
     perfect = replace(trials, candidate=np.ones(len(trials.scenes)))
     decision = settle(bank, perfect, rules_of(gate, judged))

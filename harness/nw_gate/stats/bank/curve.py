@@ -20,14 +20,15 @@ look alike: one that lies midway between the margins takes longer, and its trial
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from itertools import accumulate
 from typing import Literal
 
 import numpy as np
 
-from nw_gate.stats.bank.evidence import Bank, Floats, Places, Truths
+from nw_gate.stats.bank.baseline_bets import make_bets
+from nw_gate.stats.bank.evidence import Bank, Floats, Margins, Places, Truths
 from nw_gate.stats.bank.trials import DrawnTrials, TrialDecision, TrialRules, settle_all
 from nw_gate.stats.power import SceneCounts, chances_at, chances_beside, seeded
 
@@ -68,6 +69,7 @@ def draw(
     budget: int,
     repetitions: int,
     against: Against = "fresh",
+    margins: Margins | None = None,
 ) -> Drawn:
     """Return repetitions of a gate against a baseline, the same ones for the same counts.
 
@@ -77,6 +79,7 @@ def draw(
         budget: T, how many trials to draw; at most S x M.
         repetitions: how many.
         against: what the gate compares with.
+        margins: for which bets are made from each baseline, as a gate does; without them none are.
 
     Raises:
         ValueError: scenes have unequal numbers of starts, or there are fewer than are to be drawn.
@@ -92,15 +95,22 @@ def draw(
     order = np.array([rng.choice(pairs, budget, replace=False) for _ in range(repetitions)])
     scenes = order // size
     if starts is None:
-        scores = np.array([np.repeat(course.values, course.counts) for course in seen])
-        means = np.broadcast_to(scores.mean(axis=-1), (repetitions, len(seen)))
-        baseline = scores.ravel()[order]
+        panel = np.array([np.repeat(course.values, course.counts) for course in seen])
+        means = np.broadcast_to(panel.mean(axis=-1), (repetitions, len(seen)))
+        baseline = panel.ravel()[order]
     else:
         chances, every = chances_of(seen, success_of(seen)), np.arange(pairs) // size
         panels = scores_of(rng.random((repetitions, pairs)), chances, every, waypoints)
-        means = panels.reshape(repetitions, len(seen), size).mean(axis=-1)
+        panel = panels.reshape(repetitions, len(seen), size)
+        means = panel.mean(axis=-1)
         baseline = np.take_along_axis(panels, order, axis=-1)
     bank = Bank(means=means, starts=size)
+    if margins is not None and against != "control":
+        limits = {"max_drop": margins.max_drop, "tolerate": margins.tolerate}
+        most = max(course.trials for course in seen)
+        shown = [np.resize(np.repeat(each.values, each.counts), most) for each in seen]
+        # Those of each drawn baseline would be almost the same, and take half a minute.
+        bank = replace(bank, bets=make_bets(np.array(shown), waypoints, **limits).against(panel))
     if against != "panel":
         bank = Bank.control(len(seen)) if against == "control" else bank.fresh()
     return Drawn(
@@ -216,7 +226,14 @@ def operating_curve(
     Raises:
         ValueError: scenes have unequal numbers of starts, or fewer than the budget needs.
     """
-    drawn = draw(seen, starts=starts, budget=budget, repetitions=repetitions, against=against)
+    drawn = draw(
+        seen,
+        starts=starts,
+        budget=budget,
+        repetitions=repetitions,
+        against=against,
+        margins=rules.margins,
+    )
     mean, points = success_of(seen), list[CurvePoint]()
     for drop in drops:
         if mean - drop > 0.0:
@@ -258,7 +275,14 @@ def progress_at(
     """
     budget = len(seen) * (seen[0].trials if starts is None else starts)
     chances = chances_of(seen, success_of(seen) - drop)
-    drawn = draw(seen, starts=starts, budget=budget, repetitions=repetitions, against=against)
+    drawn = draw(
+        seen,
+        starts=starts,
+        budget=budget,
+        repetitions=repetitions,
+        against=against,
+        margins=rules.margins,
+    )
     decisions = settle_all(drawn.bank, drawn.trials(chances), rules)
     return _progress_of(decisions, [decision.trials for decision in decisions], budget)
 

@@ -44,7 +44,8 @@ z_max the least and the most that it can be:
 so that a factor is 1 + k (z - m_r) / (m_r - z_min), or 1 + k (m_r - z) / (z_max - m_r), where m_r
 is the mean of z that the null leaves for the rest. The first two are means over beta in {0, 1/2}
 and bet on the trials of all scenes; a scene's bets are on its own trials. A mean of such processes
-is one.
+is one. Where the baseline's results are known, four fifths of the capital for the first two are on
+bets made from these instead: `baseline_bets`.
 
 Source: I. Waudby-Smith and A. Ramdas, "Confidence sequences for sampling without replacement",
 NeurIPS 33 (2020), arXiv 2006.04347; J. Ville, "Etude critique de la notion de collectif" (1939).
@@ -52,11 +53,14 @@ NeurIPS 33 (2020), arXiv 2006.04347; J. Ville, "Etude critique de la notion de c
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
+
+from nw_gate.stats.bank.baseline_bets import BaselineBets
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
@@ -79,6 +83,8 @@ class Bank:
     """Whether b is what the baseline's policy scored beside the candidate, from the same start and
     on the same machine (a concurrent control). Then c - b alone counts, and no mean of a baseline:
     z = c - b + B, which is 1 + c - b above its least, whatever B is."""
+    bets: BaselineBets | None = None
+    """Made from the baseline's results; without them all capital is on fixed bets."""
 
     def __post_init__(self) -> None:
         if self.means.ndim < 1 or not self.means.shape[-1]:
@@ -101,6 +107,11 @@ class Bank:
     def fresh(self) -> Bank:
         """Return the baseline for a claim about fresh starts: M is infinite."""
         return replace(self, starts=inf)
+
+    def only(self, which: Places) -> Bank:
+        """Return the baselines of some gates, by position along the first axis of the means."""
+        bets = None if self.bets is None else self.bets.only(which)
+        return replace(self, means=self.means[which], bets=bets)
 
     @property
     def betas(self) -> tuple[float, ...]:
@@ -144,7 +155,7 @@ class Bets:
     """Shares of the capital that are bet, each on an account of its own."""
 
     shares: tuple[float, ...]
-    """k, shape (K,), each above 0 and below 1."""
+    """k, shape (K,), each above 0 and at most 1; of 1 a y of 0 takes all."""
     weights: tuple[float, ...]
     """w: of each account at the start, shape (K,); they sum to 1."""
 
@@ -185,6 +196,9 @@ def along(values: Floats, null: Floats, size: float, bets: Bets) -> Floats:
 UP = Bets(shares=(0.4, 0.6, 0.8, 0.95), weights=(0.2, 0.2, 0.4, 0.2))
 """Bets for PASS."""
 
+WHOLE = Bets(shares=(1.0,), weights=(1.0,))
+"""Bets of an account of `baseline_bets`, whose numbers are factors of the capital already."""
+
 DOWN = Bets(shares=(0.05, 0.1, 0.2, 0.4, 0.8), weights=(0.2, 0.2, 0.2, 0.2, 0.2))
 """Bets for REGRESSED and against single scenes."""
 
@@ -212,18 +226,46 @@ class Margins:
 
 
 def nulls_at_least(bank: Bank, drop: Floats | float) -> list[Floats]:
-    """Return n of "the drop is at least this" for each beta.
+    """Return n of "the drop is at least this" for each beta, and for each account of the bets.
 
     Args:
         bank: of the baseline.
         drop: shape (); or, of one baseline without leading axes, any shape: so many nulls apart.
     """
-    return [bank.mean[..., 0] - drop - bank.least(beta)[..., 0] for beta in bank.betas]
+    mean = bank.mean[..., 0] - drop
+    own = [mean - bank.least(beta)[..., 0] for beta in bank.betas]
+    return own if bank.bets is None else [*own, *(bank.bets.null(x, mean) for x in bank.bets.above)]
 
 
 def nulls_at_most(bank: Bank, drop: Floats | float) -> list[Floats]:
-    """Return n of "the drop is at most this" for each beta; drops as for `nulls_at_least`."""
-    return [bank.most(beta)[..., 0] - (bank.mean[..., 0] - drop) for beta in bank.betas]
+    """Return n of "the drop is at most this" as `nulls_at_least` does."""
+    mean = bank.mean[..., 0] - drop
+    own = [bank.most(beta)[..., 0] - mean for beta in bank.betas]
+    if bank.bets is None:
+        return own
+    return [*own, *(bank.bets.null(each, 1.0 - mean) for each in bank.bets.below)]
+
+
+def capital(bank: Bank, values: Sequence[Floats], nulls: Sequence[Floats], bets: Bets) -> Floats:
+    """Return E against one null on the mean after each trial, shape (..., T).
+
+    Args:
+        bank: of the baseline.
+        values: y of the trials for each beta and each account, shape (..., T).
+        nulls: n of each; of one baseline any shape, which E has then, with an axis T.
+        bets: what is bet on those of each beta: `UP` or `DOWN`.
+    """
+    own = len(bank.betas)
+    accounts = () if bank.bets is None else bank.bets.above if bets is UP else bank.bets.below
+    left = 1.0 - sum(account.weight for account in accounts)
+    weights = [*[left / own] * own, *(account.weight for account in accounts)]
+    pairs = bank.starts * bank.means.shape[-1]
+    total = np.zeros(())
+    for index, (weight, y, null) in enumerate(zip(weights, values, nulls, strict=True)):
+        shape = np.broadcast_shapes(y.shape, (*null.shape, 1))
+        each = along(np.broadcast_to(y, shape), null, pairs, bets if index < own else WHOLE)
+        total = total + weight * each
+    return total
 
 
 def scene_nulls(bank: Bank, margins: Margins) -> Floats:

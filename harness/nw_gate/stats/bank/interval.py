@@ -44,7 +44,7 @@ from nw_gate.stats.bank.evidence import (
     Floats,
     Places,
     Truths,
-    along,
+    capital,
     nulls_at_least,
     nulls_at_most,
 )
@@ -111,7 +111,7 @@ def scene_drop_intervals(
         own = trials.at(np.flatnonzero(trials.scenes == scene).tolist())
         found.append(
             _interval(
-                replace(bank, means=bank.means[[scene]]),
+                replace(bank, means=bank.means[[scene]], bets=None),
                 replace(own, scenes=np.zeros_like(own.scenes)),
                 (alpha_pass, alpha_regr),
                 _TIMES_ALONE,
@@ -167,18 +167,14 @@ def _ruled_out(
 ) -> tuple[Callable[[Floats], Truths], Callable[[Floats], Truths]]:
     """Return what says of drops whether they are ruled out as too small, and as too large."""
     ups, downs = above_at(bank, trials.counted(0.0)), below_at(bank, trials.counted(1.0))
-    pairs = bank.starts * len(bank.means)
     alpha_pass, alpha_regr = alphas
 
     def last(values: list[Floats], nulls: list[Floats], bets: Bets) -> Floats:
-        each = [
-            along(np.broadcast_to(y, (*null.shape, len(y))), null, pairs, bets)[..., -1]
-            for y, null in zip(values, nulls, strict=True)
-        ]
-        if learns:
-            learnt = [_learnt(y, null) for y, null in zip(values, nulls, strict=True)]
-            each = [(one + other) / 2.0 for one, other in zip(each, learnt, strict=True)]
-        return np.mean(each, axis=0)
+        found = capital(bank, values, nulls, bets)[..., -1]
+        if not learns:
+            return found
+        learnt = [_learnt(y, null) for y, null in zip(values, nulls, strict=True)]
+        return (found + np.mean(learnt, axis=0)) / 2.0
 
     def too_small(drops: Floats) -> Truths:
         return last(downs, nulls_at_most(bank, drops), DOWN) >= 1.0 / alpha_regr

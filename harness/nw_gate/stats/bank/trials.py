@@ -66,6 +66,7 @@ from nw_gate.stats.bank.evidence import (
     Places,
     Truths,
     along,
+    capital,
     check_successes,
     nulls_at_least,
     nulls_at_most,
@@ -227,19 +228,11 @@ def looks(bank: Bank, trials: DrawnTrials, margins: Margins) -> Looks:
     _check_baseline(bank, trials)
     means = np.broadcast_to(bank.means, (*trials.scenes.shape[:-1], bank.means.shape[-1]))
     worst, best = trials.counted(0.0), trials.counted(1.0)
-    pairs = bank.starts * means.shape[-1]
-    up, down = (
-        [along(y, null, pairs, bets) for y, null in zip(values, nulls, strict=True)]
-        for values, nulls, bets in (
-            (above_at(bank, worst), nulls_at_least(bank, margins.max_drop), UP),
-            (below_at(bank, best), nulls_at_most(bank, margins.tolerate), DOWN),
-        )
-    )
     losses = scene_losses(bank, best.candidate, best.baseline)
     floors = np.broadcast_to(scene_nulls(bank, margins), means.shape)
     return Looks(
-        passed=np.mean(up, axis=0),
-        regressed=np.mean(down, axis=0),
+        passed=capital(bank, above_at(bank, worst), nulls_at_least(bank, margins.max_drop), UP),
+        regressed=capital(bank, below_at(bank, best), nulls_at_most(bank, margins.tolerate), DOWN),
         own=_own(trials.scenes, losses, floors, bank.starts),
     )
 
@@ -387,12 +380,12 @@ def settle_all(bank: Bank, trials: DrawnTrials, rules: TrialRules) -> list[Trial
     """
     _check(bank, rules)
     gates, budget = trials.scenes.shape
-    means = np.broadcast_to(bank.means, (gates, bank.means.shape[-1]))
+    whole = replace(bank, means=np.broadcast_to(bank.means, (gates, bank.means.shape[-1])))
     found: dict[int, TrialDecision] = {}
     going, count = np.arange(gates), min(64, budget)
     while going.size:
         cut = trials.only(going, count)
-        every = looks(replace(bank, means=means[going]), cut, rules.margins)
+        every = looks(whole.only(going), cut, rules.margins)
         flags, passes = _reached(cut.scenes, every, rules)
         reached = set(np.flatnonzero((flags | passes).any(axis=-1)).tolist())
         for row, gate in enumerate(going.tolist()):
@@ -439,13 +432,21 @@ def most_false_alarms(
 
 
 def above_at(bank: Bank, trials: DrawnTrials) -> list[Floats]:
-    """Return z - z_min of each trial for each beta, shape (..., T): what PASS is won by."""
-    return [_centred(bank, trials, beta) - bank.least(beta) for beta in bank.betas]
+    """Return y of each trial for each beta and account, shape (..., T): what PASS is won by."""
+    own = [_centred(bank, trials, beta) - bank.least(beta) for beta in bank.betas]
+    if bank.bets is None:
+        return own
+    given = (trials.scenes, trials.baseline, trials.candidate)
+    return [*own, *(bank.bets.values(account, *given) for account in bank.bets.above)]
 
 
 def below_at(bank: Bank, trials: DrawnTrials) -> list[Floats]:
-    """Return z_max - z of each trial for each beta, shape (..., T): what REGRESSED is won by."""
-    return [bank.most(beta) - _centred(bank, trials, beta) for beta in bank.betas]
+    """Return y of each trial as `above_at` does: what REGRESSED is won by."""
+    own = [bank.most(beta) - _centred(bank, trials, beta) for beta in bank.betas]
+    if bank.bets is None:
+        return own
+    given = (trials.scenes, trials.baseline, 1.0 - trials.candidate)
+    return [*own, *(bank.bets.values(account, *given) for account in bank.bets.below)]
 
 
 def _centred(bank: Bank, trials: DrawnTrials, beta: float) -> Floats:

@@ -25,6 +25,7 @@ import numpy as np
 
 from nw_gate.results.bank import score
 from nw_gate.results.bank_file import read_bank
+from nw_gate.stats.bank.baseline_bets import BaselineBets, make_bets
 from nw_gate.stats.bank.evidence import Bank, Margins
 from nw_gate.stats.bank.trials import DrawnTrials, TrialRules, settle_all
 
@@ -36,6 +37,9 @@ STARTS = (5, 6, 12, 30, 60)
 HURDLES, ALL = "hurdles/go1-parkour", "all/go1-parkour"
 TWO_SCENES = "gaps/go1-parkour, first 2"
 GAPS, STUDENTS = "gaps/go1-parkour", "gaps/go1-act-depth"
+ONE_SCENE, HARD_SCENE = f"{GAPS}, first 1", f"{STUDENTS}, first 1"
+# The same successes as coins: all of a trial or nothing of it.
+COINS, ONE_COIN = f"{STUDENTS}, all or nothing", f"{ONE_SCENE}, all or nothing"
 CLAIMS = ("panel", "panel, as if fresh", "fresh", "control")
 KINDS = ("harder", "harder, same starts", "some scenes", "all or nothing")
 DROPS = (0.0, 0.05, 0.10, 0.20)
@@ -90,6 +94,29 @@ def cells() -> Iterator[Cell]:
     )
     yield from _drifts()
     yield from _powers()
+    yield from _few_scenes()
+
+
+def _few_scenes() -> Iterator[Cell]:
+    """Yield suites of one scene with 200 trials, as `gate.rounds` has it, and coins."""
+    for baseline in (ONE_SCENE, HARD_SCENE, ONE_COIN, COINS):
+        for starts in (30, 60, 400) if baseline != COINS else (30, 60):
+            rounds = max(20, starts // 2) if baseline != COINS else 20
+            for claim in ("fresh", "control") if starts >= 60 else ("fresh",):
+                for cell in _errors(claim, baseline, starts):
+                    if cell.critical <= 1:
+                        yield replace(cell, rounds=rounds)
+        for drop in DROPS:
+            kind = "harder" if baseline in (ONE_SCENE, HARD_SCENE) else "all or nothing"
+            yield Cell(
+                question="power",
+                claim="fresh",
+                baseline=baseline,
+                starts=60 if baseline == COINS else 400,
+                kind=kind,
+                drop=drop,
+                rounds=20 if baseline == COINS else 200,
+            )
 
 
 def _errors(claim: str, baseline: str, starts: int) -> Iterator[Cell]:
@@ -170,12 +197,14 @@ def _some(cell: Cell, part: int, gates: int) -> Found:
             margins = Margins(scene_drop=max(most, 0.0))
         bank, c, b = Bank.of(panel), candidate[drawn, starts], panel[drawn, starts]
         bank = bank.fresh() if cell.claim == "panel, as if fresh" else bank
+        bank = replace(bank, bets=_bets(panel, waypoints, margins))
     elif cell.claim == "fresh":
         which = rng.integers(0, size, (gates, scenes, cell.starts))
         banks = np.take_along_axis(population[None], which, axis=2)
         chosen = which[np.arange(gates)[:, None], drawn, starts]
         c = _candidate(population, waypoints, cell, rng)(drawn, chosen)
-        bank, b = Bank(means=banks.mean(axis=2)), population[drawn, chosen]
+        bets = _bets(banks, waypoints, margins)
+        bank, b = Bank(means=banks.mean(axis=2), bets=bets), population[drawn, chosen]
     else:
         chosen = rng.integers(0, size, drawn.shape)
         drift = replace(cell, kind="harder", drop=cell.drift)
@@ -202,6 +231,12 @@ def _some(cell: Cell, part: int, gates: int) -> Found:
     )
 
 
+def _bets(scores: np.ndarray, waypoints: np.ndarray, margins: Margins) -> BaselineBets:
+    return make_bets(
+        scores, waypoints, max_drop=margins.max_drop, tolerate=margins.tolerate, by_start=True
+    )
+
+
 def bank_of(baseline: str) -> str:
     """Return `SUITE/NAME` of the committed baseline that a cell means."""
     return baseline.replace("/", "-state/")
@@ -210,12 +245,21 @@ def bank_of(baseline: str) -> str:
 @cache
 def scores_of(baseline: str) -> tuple[np.ndarray, np.ndarray]:
     """Return success from each start, shape (S, M), and the waypoints of each scene, shape (S,)."""
-    name, _, few = baseline.partition(", first ")
+    name, _, coins = baseline.partition(", all or ")
+    name, _, few = name.partition(", first ")
     bank = read_bank(BASELINES / f"{bank_of(name)}.parquet")
     panel = [*bank.panels[0].by_stratum.values()]
     panel = panel[: int(few) if few else None]
     scores = np.array([[score(start) for start in starts] for starts in panel], dtype=np.float64)
-    return scores, np.array([starts[0].waypoints_total for starts in panel])
+    waypoints = np.array([starts[0].waypoints_total for starts in panel])
+    if coins:
+        # Of each scene as many starts as its mean success is a share of them.
+        mean = np.rint(scores.mean(axis=1, keepdims=True) * scores.shape[1])
+        scores, waypoints = (
+            (np.arange(scores.shape[1]) < mean).astype(np.float64),
+            waypoints * 0 + 1,
+        )
+    return scores, waypoints
 
 
 Draw = Callable[[np.ndarray, np.ndarray], np.ndarray]
