@@ -61,7 +61,7 @@ _REPEATS = 0.6
 _HARDER, _HARDER_BY, _ANYTHING = 0.03, 0.12, 0.01
 """What every guess has of trials that are harder, and by which drop; and of any result alike."""
 
-_ROOTS, _STEPS, _LAST_STEPS, _HALVINGS = 12, 3, 8, 40
+_ROOTS, _STEPS, _LAST_STEPS, _HALVINGS = 9, 2, 6, 40
 """Of Newton's methods for l and for a, and of a search: all reach `_STEP` by far."""
 _STEP = 2.0**-24
 """To which numbers are rounded: last digits that a processor adds in another order do not count."""

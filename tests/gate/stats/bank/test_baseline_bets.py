@@ -154,7 +154,7 @@ def test_a_result_that_the_baseline_never_had_takes_no_account_all():
                 assert account.min() > 0.0
 
 
-@pytest.mark.parametrize("mean", [0.02, 0.1, 1.0])
+@pytest.mark.parametrize("mean", [0.75, 1.0])
 def test_where_no_guess_is_better_than_the_null_nothing_is_bet(mean):
     scores = np.full((2, 30), mean)
     margins = Margins(max_drop=0.0, tolerate=0.0)
