@@ -28,8 +28,8 @@ mean drops by given amounts (`_PASSES`, `_FLAGS`); half of those for PASS add th
 ends as it did for the baseline. A little of every result is mixed in, so that no account is lost to
 one that the baseline never had.
 
-What it gains was simulated (docs/concepts/power.md): a fifth to a third of the trials at
-drops of .10 and .20, and at most a tenth where nothing dropped.
+What it gains was simulated (docs/concepts/power.md): a sixth to a third of the trials at drops of
+.10 and .20, and up to a tenth where nothing dropped.
 
 Source: P. Gruenwald, R. de Heide and W. Koolen, "Safe testing", JRSS B 86 (2024), for
 growth-optimal e-values; M. Larsson, A. Ramdas and J. Ruf, "The numeraire e-variable and reverse

@@ -9,8 +9,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from functools import cache
+from math import log
 from pathlib import Path
 
+import numpy as np
 from gate_cells import (
     ALL,
     BASELINES,
@@ -27,7 +29,10 @@ from nw_eval.reporting.pictures import draw_curve
 from nw_eval.suite.load import load_suite
 from nw_gate.baseline.power_forecast import Outset, outset_of_bank
 from nw_gate.results.bank_file import read_bank
-from nw_gate.stats.bank.curve import CurvePoint, operating_curve
+from nw_gate.stats.bank.baseline_bets import _solve
+from nw_gate.stats.bank.curve import CurvePoint, chances_of, draw, operating_curve
+from nw_gate.stats.bank.trials import TrialRules, settle_all
+from nw_gate.stats.power import ends
 
 ROOT = Path(__file__).parents[4]
 PAGE = ROOT / "docs" / "concepts" / "power.md"
@@ -37,6 +42,9 @@ ERRORS = (
     "| policy | wrong is | at most | panel | fresh, M = 5 to 12 | fresh, M = 30, 60 | control |"
 )
 _COLUMNS = [f"{suite}, {drop}" for suite in ("hurdles", "all", "gaps") for drop in (".05", ".10")]
+BOUND = (
+    "| true drop | hurdles-state/go1-parkour | all-state/go1-parkour | gaps-state/go1-act-depth |"
+)
 POWER = f"| what gets worse | {' | '.join(_COLUMNS)} |"
 DROPS = (0.0, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2)
 POLICIES = (
@@ -87,6 +95,48 @@ def curve_table() -> str:
         ]
         for points in zip(*columns, strict=True)
     )
+
+
+def bound_table() -> str:
+    """Return the lines of trials with fixed bets, with bets from the baseline, and of the bound."""
+    names = BOUND.strip("| ").split(" | ")[1:]
+    return _lines(
+        [f"{drop:.2f}", *(" / ".join(f"{x:.0f}" for x in trials_at(n, drop)) for n in names)]
+        for drop in (0.0, 0.1, 0.2)
+    )
+
+
+@cache
+def trials_at(name: str, drop: float) -> tuple[float, float, float]:
+    """Return mean trials with fixed bets, with bets from the baseline, and the fewest possible.
+
+    The bound is Wald's, with the information of the least favourable null (KL_inf), for a rule that
+    holds its error against every policy with the null's mean and decides rightly in 99 %.
+    """
+    start = outset(name)
+    margins = start.rules.margins
+    rules = TrialRules(tiers=("supporting",) * start.scenes)
+    chances = chances_of(start.seen, start.baseline - drop)
+    given = {"seen": start.seen, "starts": None, "budget": start.budget, "repetitions": 1000}
+    trials = list[float]()
+    for bets in (None, margins):
+        drawn = draw(**given, margins=bets)
+        decisions = settle_all(drawn.bank, drawn.trials(chances), rules)
+        trials.append(float(np.mean([decision.trials for decision in decisions])))
+    k = np.array([len(course.counts) - 1 for course in start.seen])
+    results = np.zeros((start.scenes, k.max() + 1))
+    for scene, (chance, most) in enumerate(zip(chances, k, strict=True)):
+        results[scene, : most + 1] = ends(chance, most)
+    values = np.minimum(np.arange(k.max() + 1) / k[:, None], 1.0)
+    passes = drop < margins.max_drop / 2
+    null = start.baseline - (margins.max_drop if passes else margins.tolerate)
+    y, mean = (values, null) if passes else (1.0 - values, 1.0 - null)
+    whole = np.ones((start.scenes, 1))
+    fixed, slope = _solve(results.T[..., None], y, whole, np.array(mean))
+    growth = (results * np.log(fixed + slope * y)).sum(axis=1).mean()
+    alpha = start.rules.alpha_pass if passes else start.rules.alpha_regr
+    information = 0.99 * log(0.99 / alpha) + 0.01 * log(0.01 / (1.0 - alpha))
+    return trials[0], trials[1], information / float(growth)
 
 
 def error_table() -> str:
@@ -170,6 +220,7 @@ if __name__ == "__main__":
     text = PAGE.read_text(encoding="utf-8")
     for heading, lines in (
         (CURVE, curve_table()),
+        (BOUND, bound_table()),
         (ERRORS, error_table()),
         (POWER, power_table()),
     ):

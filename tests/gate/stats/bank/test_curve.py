@@ -10,10 +10,12 @@ import pytest
 from gate_cells import ALL, HURDLES, bank_of, recorded_cells
 from measured import SEEN
 from record_gate_page import (
+    BOUND,
     CURVE,
     ERRORS,
     PICTURE,
     POWER,
+    bound_table,
     cells_of,
     curve,
     curve_table,
@@ -81,6 +83,7 @@ def test_the_operating_curve_is_near_the_gates_that_were_recorded(baseline, agai
 
 def test_the_page_prints_the_curve_of_this_code():
     assert recorded(CURVE) == cells_of(curve_table())
+    assert recorded(BOUND) == cells_of(bound_table())
     assert PICTURE.stat().st_size < 100_000
 
 
@@ -91,7 +94,13 @@ def test_the_page_sums_up_the_recorded_gates():
 
 def test_one_scene_of_sixteen_that_falls_to_half_passes_or_convicts_as_the_page_says():
     start, scene = outset(bank_of(HURDLES)), 14
-    drawn = draw(start.seen, starts=None, budget=start.budget, repetitions=2000)
+    drawn = draw(
+        start.seen,
+        starts=None,
+        budget=start.budget,
+        repetitions=2000,
+        margins=start.rules.margins,
+    )
     chances = chances_of(start.seen, start.baseline)
     # From 1 to .5, in three waypoints: p + p^2 + p^3 = 1.5.
     assert start.seen[scene].counts.tolist() == [0, 0, 0, 60]
@@ -101,12 +110,12 @@ def test_one_scene_of_sixteen_that_falls_to_half_passes_or_convicts_as_the_page_
     tiers = ["supporting"] * 16
     decisions = settle_all(drawn.bank, trials, TrialRules(tiers=tuple(tiers)))
     assert np.mean([decision.word == "PASS" for decision in decisions]) == pytest.approx(
-        0.94, abs=0.02
+        0.91, abs=0.02
     )
     assert np.mean([scene in decision.named for decision in decisions]) == pytest.approx(
-        0.53, abs=0.03
+        0.50, abs=0.03
     )
-    assert np.mean([decision.trials for decision in decisions]) == pytest.approx(113, rel=0.03)
+    assert np.mean([decision.trials for decision in decisions]) == pytest.approx(118, rel=0.03)
     tiers[scene] = "critical"
     decisions = settle_all(drawn.bank, trials, TrialRules(tiers=tuple(tiers)))
     flagged = np.mean([decision.word == "REGRESSED" for decision in decisions])

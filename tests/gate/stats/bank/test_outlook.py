@@ -12,6 +12,7 @@ import pytest
 from nw_gate.baseline.power_forecast import outset_of_bank
 from nw_gate.results.bank_file import read_bank
 from nw_gate.settings import Gate
+from nw_gate.stats.bank.baseline_bets import make_bets
 from nw_gate.stats.bank.curve import (
     Progress,
     chances_of,
@@ -123,7 +124,10 @@ def test_of_open_runs_against_the_committed_hurdles_as_many_are_decided_as_is_sa
     for drop, kind in product((0.03, 0.06, 0.08, 0.1), ("odds", "nothing")):
         scores, scenes, seen = of_hurdles(drop, kind)
         rules = TrialRules(tiers=("supporting",) * len(seen))
-        bank = Bank(means=np.array([c.counts @ c.values / c.trials for c in seen]))
+        known_scores = np.array([np.repeat(c.values, c.counts) for c in seen])
+        k = np.array([len(c.counts) - 1 for c in seen])
+        bets = make_bets(known_scores, k, max_drop=0.1, tolerate=0.02, by_start=False)
+        bank = Bank(means=known_scores.mean(axis=1), bets=bets)
         whole = DrawnTrials(scenes=scenes, candidate=scores, baseline=bank.means[scenes])
         first = settle_all(bank, whole.only(np.arange(len(scores)), budget), rules)
         is_open = [gate for gate, end in enumerate(first) if end.word == "undecided"][:16]
