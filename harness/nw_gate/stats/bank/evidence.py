@@ -44,8 +44,8 @@ z_max the least and the most that it can be:
 so that a factor is 1 + k (z - m_r) / (m_r - z_min), or 1 + k (m_r - z) / (z_max - m_r), where m_r
 is the mean of z that the null leaves for the rest. The first two are means over beta in {0, 1/2}
 and bet on the trials of all scenes; a scene's bets are on its own trials. A mean of such processes
-is one. Where the baseline's results are known, four fifths of the capital for the first two are on
-bets made from these instead: `baseline_bets`.
+is one. Where the baseline's results are known, most of the capital for the first two is on bets
+made from these instead: `baseline_bets`.
 
 Source: I. Waudby-Smith and A. Ramdas, "Confidence sequences for sampling without replacement",
 NeurIPS 33 (2020), arXiv 2006.04347; J. Ville, "Etude critique de la notion de collectif" (1939).
