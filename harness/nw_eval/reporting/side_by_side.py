@@ -57,10 +57,9 @@ def _policies(found: PolicyComparison) -> Table:
         ),
         numbers=frozenset({"success"}),
         note=f"Success is the mean over scenes of the share of waypoints reached, {_met(found)}. "
-        "On these starts it is known; intervals and ranks are what new starts in the same scenes "
-        "may give (a Bayesian bootstrap, and bets on the differences of trials). A range of ranks "
-        f"is not decided yet; with {percent} confidence no policy's true rank is outside its own "
-        "(Mogstad, Romano, Shaikh and Wilhelm, 2024, with Holm's procedure).",
+        "For these initial states it is exact. Intervals and ranks are for new initial states in "
+        f"the same scenes: each interval holds alone, all ranks hold together ({percent} "
+        "confidence). A range of ranks is not decided yet.",
     )
 
 
