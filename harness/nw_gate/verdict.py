@@ -280,9 +280,11 @@ class Comparison:
     is_own: bool = False
     """Whether the candidate is the baseline's own policy, with other bits than the baseline's: what
     is compared is this machine or version."""
-    curve: tuple[CurvePoint, CurvePoint, CurvePoint] | None = None
-    """How this gate ends for an equal policy, and for ones worse by half of max_drop and by it;
-    simulated, where that was asked for."""
+    curve: tuple[tuple[CurvePoint, ...], tuple[CurvePoint, ...], tuple[CurvePoint, ...]] | None = (
+        None
+    )
+    """How this gate ends for an equal policy, and for ones worse by half of max_drop and by it:
+    a point for each kind of policy; simulated, where that was asked for."""
 
     @property
     def settled(self) -> bool:

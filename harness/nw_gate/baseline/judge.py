@@ -38,12 +38,12 @@ from nw_gate.baseline.match import (
     met_others,
     recheck,
 )
-from nw_gate.baseline.power_forecast import Outset, about_more_trials, outset_of_bank
+from nw_gate.baseline.power_forecast import Forecast, Outset, about_more_trials, outset_of_bank
 from nw_gate.results.bank import Against, BaselineResults, Panel, Start, Stratum, score
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
 from nw_gate.settings import Gate
-from nw_gate.stats.bank.curve import CurvePoint, progress_from
+from nw_gate.stats.bank.curve import progress_from
 from nw_gate.stats.bank.interval import drop_interval_after
 from nw_gate.stats.bank.trials import CRITICAL_TRIALS, SUSPECT, most_false_alarms
 from nw_gate.stats.hazard import Ends, first_partings
@@ -560,7 +560,7 @@ def _listed(names: Sequence[str]) -> str:
 
 def _power_forecast(
     found: Comparison, met: Met, judged: Sequence[Stratum], panel: Panel, gate: Gate
-) -> tuple[tuple[CurvePoint, CurvePoint, CurvePoint], str | None]:
+) -> tuple[Forecast, str | None]:
     """Simulate what a comparison leaves open.
 
     Returns:

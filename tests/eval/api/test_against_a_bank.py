@@ -423,7 +423,7 @@ def test_without_a_bank_the_first_line_says_what_is_not_judged(monkeypatch):
     named = api.plan("quick.yaml", policy="./soft")
     assert (named.against.info.name, named.suite.trials, named.drawn_from) == ("shipped", 4, 4)
     page = forecast_page(api.check("quick.yaml", policy="./soft"))
-    assert "60 % sure; less than 0.5 below baseline shipped" in page
+    assert "(60 % confidence); less than 0.5 below baseline shipped" in page
     assert "2 scenes; at most so many, until the verdict is settled" in page
     nothing = api.plan("quick.yaml", policy="./soft", baseline="none")
     assert (nothing.against, nothing.drawn_from) == (None, None)

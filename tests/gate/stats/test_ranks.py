@@ -103,10 +103,11 @@ def test_policies_with_other_starts_are_not_ranked():
 @pytest.mark.parametrize("correlated", [False, True])
 @pytest.mark.parametrize("shape", ["all or nothing", "rare catastrophe", "other scenes"])
 def test_true_ranks_are_missed_in_at_most_one_comparison_of_twenty(shape, correlated):
-    """Five equal policies, 16 scenes of 10 starts, 2,000 comparisons: wrong WRONG times.
+    """Five equal policies, 16 scenes of 10 starts, 2,000 comparisons.
 
-    The nominal is 100. Of equal policies every order that is decided is wrong. Those of the last
-    shape are equal in the mean, and each is better than others in half of the scenes.
+    The nominal is 100, and wrong were 21, 20, 0, 0, 5 and 2. Of equal policies every order that is
+    decided is wrong. Those of the last shape are equal in the mean, and each is better than others
+    in half of the scenes.
     """
     rng = np.random.default_rng(7)
     chances = np.full((5, 16, 1), 0.8)
