@@ -146,7 +146,8 @@ def _partings(found: PolicyComparison) -> Table:
         columns=("policy", "scene", "waypoint", f"{first} missed it", "policy missed it", "sure"),
         rows=tuple(_parting(found, each) for each in (*shown, *suspect[:_MOST])),
         numbers=frozenset({"waypoint"}),
-        note=f"Missed it: of the trials that came so far. {len(shown)} shown among "
+        note=f"Missed it: of the trials that reached the previous waypoint. "
+        f"{len(shown)} shown among "
         f"{plural(found.waypoints, 'waypoint')} looked at, with {percent} confidence for all of "
         "them (Fisher's exact test within scenes, Holm's procedure for all scenes together and for "
         "single ones, half of the error each). Suspect: sure if this waypoint were the only one, "

@@ -362,7 +362,7 @@ def test_a_part_alone_has_no_verdict(parts, written, tmp_path):
     )
     page = (parts[0] / "report.md").read_text()
     assert page.startswith("# RAN · part 1 of 3 · ")
-    assert "it is known" not in page
+    assert "is exactly" not in page
     refused = "run part-1 is part 1 of 3, which is not the whole run"
     with pytest.raises(UsageError, match=refused):
         api.judge(parts[0])

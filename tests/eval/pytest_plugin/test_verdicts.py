@@ -291,7 +291,7 @@ def test_a_bank_is_saved_for_a_review_and_passes_once_it_is_there(
 
     same = run("tiny.yaml", "--nw-baseline", "stand")
     same.assert_outcomes(passed=2)
-    same.stdout.fnmatch_lines(["tiny.yaml: PASS * baseline stand is the same policy *"])
+    same.stdout.fnmatch_lines(["tiny.yaml: PASS * same policy as baseline stand*"])
     (judged,) = [api.report(folder) for folder in folders() if (folder / "bank").exists()]
     assert len(judged.rows) == 1, "one start of its only scene ran again"
 
