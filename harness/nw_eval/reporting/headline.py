@@ -16,10 +16,10 @@ from nw_gate.verdict import Comparison, Verdict
 def headline(verdict: Verdict, run: RunInfo) -> str:
     """Return the verdict and what made it, what happened, success and cost, on a line."""
     word, *parts = headline_parts(verdict, run)
-    return " · ".join([f"{word}{convicted_by(verdict)}", *parts])
+    return " · ".join([f"{word}{flagged_by(verdict)}", *parts])
 
 
-def convicted_by(verdict: Verdict) -> str:
+def flagged_by(verdict: Verdict) -> str:
     """Return what made a verdict REGRESSED, such as ` by the bar`; nothing for any other."""
     by = verdict.regressed_by
     most = ", ".join(by[:_NAMED]) + (f" and {len(by) - _NAMED} more" if len(by) > _NAMED else "")
@@ -215,8 +215,8 @@ _PINNED = (
     "it with --seed-set fresh."
 )
 _FRESH = (
-    "The seed set is fresh: it follows from what the checkpoint computes. Nobody chose "
-    "the checkpoint by these initial states, or the initial states for it."
+    "The seed set is fresh: it follows from what the checkpoint computes. No user "
+    "chose the checkpoint by these initial states, or the initial states for it."
 )
 _CHANCES = (
     "The chances that more trials decide come from simulated trials, in which every part of "

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from nw_base.words import FAULTS, OUTCOMES
 from nw_eval.reporting.headline import (
     blind_spot,
-    convicted_by,
+    flagged_by,
     headline_parts,
     how_sure,
     stopped_early,
@@ -80,7 +80,7 @@ def render_html(
         run=run,
         suite=str(run.suite.get("name", "suite")),
         word=word,
-        by=convicted_by(verdict),
+        by=flagged_by(verdict),
         parts=parts,
         blind_spot=blind_spot(verdict, run),
         reasons=verdict.reasons,
