@@ -520,7 +520,7 @@ def test_where_bits_are_others_the_bank_s_policy_runs_beside_the_candidate_from_
     pairs = own.set_index("trial_id").success - mine.set_index("trial_id").success
     assert found.drop == pytest.approx(pairs.mean())
     page = Path("run/report.md").read_text()
-    assert "its policy go1-parkour ran beside the candidate from the same starts" in page
+    assert "of go1-parkour that ran here from the same initial states" in page
     assert api.report("run").verdict == judged.verdict
     assert api.judge("run").verdict.against == found
     assert api.verify("run").exit_code == 0

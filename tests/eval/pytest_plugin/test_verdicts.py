@@ -57,7 +57,7 @@ def test_a_policy_that_fails_is_told_as_verdict_table_and_replay_command(suite, 
         [
             "*_ tiny.yaml: flat/carpet_room _*",
             "flat/carpet_room: below the bar 0.9 by itself; success 0.000, completed 0 of 4 trials",
-            "REGRESSED * success 0.000 * completed 0 of 8 trials in 2 scenes *",
+            "REGRESSED * completed 0 of 8 trials in 2 scenes * success 0.000 *",
             "* success is at most *, the bar is 0.9",
             "Success by scene",
             f" {FLAT} *",
