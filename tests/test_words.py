@@ -45,8 +45,8 @@ INSTEAD = {
     "the place": "the scene, position or index",
     # Sentences of the verdict, the report and the pages.
     "by itself; those that speak most": "Largest drops: SCENE 1.00 -> 0.00",
-    "is not excluded, more than": "too few trials to tell a drop of 0.1 from one below 0.02",
-    "the data fit": "too few trials to tell a drop of 0.1 from one below 0.02",
+    "is not excluded, more than": "is undecided: estimated drop 0.05",
+    "the data fit": "is undecided: estimated drop 0.05",
     "trials need not run": "the rest were skipped",
     "came to the same bits": "matched",
     "is held back by": "PASS is withheld",

@@ -467,14 +467,12 @@ def _mean(found: Comparison) -> str:
         return f"{worse} than {name} ({least}); tolerate is {found.tolerate:g}"
     if drops.high < found.max_drop:
         return f"{drop}; {_at_most(drops, found)} ({most}), max_drop is {found.max_drop:g}"
+    gains = found.drop < 0.0
+    change = f"{'gain' if gains else 'drop'} {abs(found.drop):.3f} ({trials})"
     high = ""
     if found.known_high is not None:
-        of = "a drop of " if found.drop < 0.0 else ""
-        high = f", {of}at most {found.known_high:z.3f} ({most})"
-    return (
-        f"{drop}{high}: too few trials to tell a drop of {found.max_drop:g} from one below "
-        f"{found.tolerate:g}"
-    )
+        high = f", {'a drop of ' if gains else ''}at most {found.known_high:z.3f} ({most})"
+    return f"the comparison with {name} is undecided: estimated {change}{high}"
 
 
 def _at_most(drops: Interval, found: Comparison) -> str:

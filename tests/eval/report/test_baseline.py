@@ -132,6 +132,9 @@ def test_the_page_of_the_same_policy_says_what_was_taken_over_and_what_ran_again
     over = "same policy as baseline shipped: 2 trials re-run and identical"
     assert text.startswith(f"# PASS \u00b7 {over} \u00b7 completed ")
     assert "Results that were not re-run are those of the baseline's file." in text
+    # All results are the baseline's: nothing changed, and how trials ended is of those that ran.
+    assert not {"baseline", "change"} & {*table(text)[0]}
+    assert "Of the 3 trials of this run; the other results are the baseline's." in text
     assert "A drop of 0.1 or more" not in text
     other = replace(same, again=replace(again, equal=False, taken_over=False))
     text = page(other)

@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from nw_eval.reporting.html.environment import _coded
 from nw_eval.reporting.html.evidence import Clip, Film, LogEvidence, PlaceView, WalkedPath
 from nw_eval.suite import Gate
 
@@ -264,3 +265,11 @@ def test_a_page_stays_small(make_page, make_row, full_evidence, trials, scenes, 
         for index in range(trials)
     ]
     assert len(make_page(drawn, full_evidence(drawn)).encode()) < most
+
+
+def test_what_is_to_be_typed_is_set_as_code_in_a_reason():
+    assert (
+        _coded("`nw-eval run x` <b> runs 5 s")
+        == "<code>nw-eval run x</code> &lt;b&gt; runs 5\u00a0s"
+    )
+    assert _coded("one ` alone") == "one ` alone"
