@@ -137,7 +137,7 @@ MOST = {
         ("nw_learn", "nw_twin"),
     ),
     "nw_gate": Figures(
-        16413,
+        16850,  # Ranks by bets that learn; what made a verdict, and what completed.
         8,
         ("nw_eval", "nw_learn", "nw_sim", "nw_twin"),
     ),

@@ -45,7 +45,11 @@ INSTEAD = {
     "the place": "the scene, position or index",
     # Sentences of the verdict, the report and the pages.
     "by itself; those that speak most": "Largest drops: SCENE 1.00 -> 0.00",
-    "is not excluded, more than": "Undecided: the data fit ...",
+    "is not excluded, more than": "is undecided: estimated drop 0.05",
+    "the data fit": "is undecided: estimated drop 0.05",
+    "trials need not run": "the rest were skipped",
+    "came to the same bits": "matched",
+    "is held back by": "PASS is withheld",
     "an even chance that": "decides with 50 % probability",
     "names it as fallen": "reported as regressed",
     "None of them is worth a verdict": "Reporting never changes the verdict",

@@ -115,7 +115,52 @@ def judge(
         ),
         per_scene=scores,
         left=left,
+        failures=how_most_failed(
+            [row for row in rows if gate.tier(row.scene) != "informational"], left
+        ),
     )
+
+
+def how_most_failed(rows: Sequence[Row], left: Collection[str] = ()) -> str:
+    """Return how most trials that did not complete ended, and where; nothing if all completed.
+
+    Args:
+        rows: of scenes that count.
+        left: trials that left the captured volume.
+    """
+    failed = [
+        row for row in rows if row.status == "ok" and not row.completed and row.trial_id not in left
+    ]
+    if not failed:
+        return ""
+    outcome, count = min(
+        Counter(row.outcome for row in failed).items(), key=lambda item: (-item[1], item[0])
+    )
+    how = _HOW.get(outcome, f"ended as {outcome}")
+    said = f"{count} of the {plural(len(failed), 'failed trial')} {how}"
+    if count == len(failed):
+        said = f"{'the failed trial' if count == 1 else 'all failed trials'} {how}"
+    missed = Counter(
+        row.waypoints_reached + 1
+        for row in failed
+        if row.outcome == outcome and row.waypoints_total
+    )
+    if not missed:
+        return said
+    waypoint, times = min(missed.items(), key=lambda item: (-item[1], item[0]))
+    often = "" if times == count else "most often "
+    return f"{said}, {often}before waypoint {waypoint}"
+
+
+_HOW: Mapping[str, str] = {
+    "collided": "collided",
+    "fell": "fell",
+    "timeout": "ran out of time",
+    "stuck": "got stuck",
+    "off_course": "left the course",
+    "policy_failed": "ended with an error of the policy",
+}
+"""Outcomes of trials as verbs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,8 +316,24 @@ def _compare(
     if bounds.high < bar:
         most = f"{100 * (1.0 - (1.0 - gate.confidence) / gate.shared):.4g} % confidence"
         return "REGRESSED", [f"success is at most {bounds.high:.3f} ({most}), the bar is {bar:g}"]
-    ends = f"{bounds.low:.3f} and {bounds.high:.3f} ({confidence} each)"
-    return "INCONCLUSIVE", [f"the bar {bar:g} lies between the bounds of success, {ends}"]
+    return "INCONCLUSIVE", [_open(bar, bounds, confidence)]
+
+
+def _open(bar: float, bounds: Interval, confidence: str) -> str:
+    """Return why a bar is not decided; a bound that is the end of the range says nothing."""
+    least, most = bounds.low >= _NEXT_TO, bounds.high <= 1.0 - _NEXT_TO
+    if least and most:
+        ends = f"{bounds.low:.3f} and {bounds.high:.3f} ({confidence} each)"
+        return f"the bar {bar:g} lies between the bounds of success, {ends}"
+    if least:
+        return f"success is at least {bounds.low:.3f} ({confidence}), less than the bar {bar:g}"
+    if most:
+        return f"success is at most {bounds.high:.3f} ({confidence}), more than the bar {bar:g}"
+    return f"too few trials for any bound of success; the bar is {bar:g}"
+
+
+_NEXT_TO = 5e-4
+"""What is printed with three digits as the end of a range is that end."""
 
 
 def _flagged(

@@ -50,7 +50,7 @@ class Limits:
     """What must be shown.
 
     Attributes:
-        max_drop: drop of the mean score, over tasks, that must be excluded for PASS.
+        max_drop: drop of the mean score, over tasks, that PASS rules out.
         tolerate: drop that counts as equal; REGRESSED needs a larger one to be shown.
         task_drop: drop in one task beyond which it is named.
         critical: names or globs of tasks of which each alone, where it fell, makes the verdict
@@ -310,12 +310,21 @@ def _first(values: Values, mean: float, error: float) -> int | None:
 
 
 def _drop_words(word: GateWord, drop: float, interval: Interval, limits: Limits) -> str:
-    said = f"the drop is {drop:+.3f}, between {interval.low:+.3f} and {interval.high:+.3f}"
+    said = f"the drop is {drop:+.3f}"
+    # Rounded to three digits, an end beside a margin would contradict the verdict.
+    if word == "PASS" and float(f"{interval.high:.3f}") >= limits.max_drop:
+        return f"{said}, less than max_drop {limits.max_drop:g}"
+    if word == "REGRESSED" and float(f"{interval.low:.3f}") <= limits.tolerate:
+        return f"{said}, more than tolerate {limits.tolerate:g}"
+    said = f"{said}, between {interval.low:+.3f} and {interval.high:+.3f}"
     if word == "PASS":
-        return f"{said}: {limits.max_drop:g} is excluded"
+        return f"{said}: less than max_drop {limits.max_drop:g}"
     if word == "REGRESSED":
-        return f"{said}: over {limits.tolerate:g}"
-    return f"{said}: neither {limits.max_drop:g} is excluded, nor over {limits.tolerate:g} shown"
+        return f"{said}: more than tolerate {limits.tolerate:g}"
+    return (
+        f"{said}: too few episodes to tell a drop of {limits.max_drop:g} from one below "
+        f"{limits.tolerate:g}"
+    )
 
 
 def _fallen(

@@ -13,7 +13,7 @@ Results on the robot are put beside those of the same policies in the simulator 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby, islice
 from pathlib import Path
@@ -29,7 +29,6 @@ from nw_gate.results.real import RealResult
 from nw_gate.results.row import Row, task_shown
 from nw_gate.scores import BUILT_IN, ScoreSpec
 from nw_gate.stats.agreement import Measured
-from nw_gate.stats.betting import Ranks, possible_ranks
 from nw_gate.stats.bootstrap import mean_of_scenes
 from nw_gate.stats.hazard import (
     Ends,
@@ -39,6 +38,7 @@ from nw_gate.stats.hazard import (
     first_shown,
 )
 from nw_gate.stats.interval import Estimate, Interval
+from nw_gate.stats.ranks import Ranks, possible_ranks
 
 StartName = tuple[str, Settings, int]
 """Scene, what was changed there, and the start's number: the same for every policy of a suite."""
@@ -257,7 +257,12 @@ def compared(entrants: Sequence[Entrant], confidence: float = 0.95) -> PolicyCom
         [_successes(entrant, names) for names in scenes.values()]
         for entrant, scenes in zip(entrants, met, strict=True)
     ]
-    ranks = possible_ranks(groups, 1.0 - confidence)
+    # A round of bets has one trial of each scene in each cell of what is changed.
+    strata = [
+        [_successes(entrant, list(names)) for _, names in _by_stratum(scenes)]
+        for entrant, scenes in zip(entrants, met, strict=True)
+    ]
+    ranks = possible_ranks(strata, 1.0 - confidence)
     partings, waypoints = _partings(entrants, met, confidence)
     return PolicyComparison(
         suite=entrants[0].suite,
@@ -314,6 +319,11 @@ def _own(entrants: Sequence[Entrant]) -> list[_Starts]:
                 scenes[stratum[0]] += islice(group, most[stratum])
         found.append(scenes)
     return found
+
+
+def _by_stratum(starts: _Starts) -> Iterator[tuple[object, Iterator[StartName]]]:
+    """Return the starts of each scene and cell of what is changed."""
+    return groupby((name for names in starts.values() for name in names), lambda name: name[:2])
 
 
 def _scenes(entrants: Sequence[Entrant]) -> list[str]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 from warnings import warn
 
+from nw_base.plural import plural
 from nw_base.words import Tier
 from nw_gate.results.bank import Stratum
 from nw_gate.results.column import Settings
@@ -106,6 +107,7 @@ class Verdict:
     against: Comparison | None = None  # What it also rests on; None without a baseline.
     left: frozenset[str] = frozenset()  # Trials that left the captured volume, by their names.
     scores: tuple[ScoreFinding, ...] = ()  # What was measured beside success.
+    failures: str = ""  # How most of the trials failed that count, in words; empty if none did.
 
     @property
     def effect(self) -> float | None:
@@ -122,6 +124,26 @@ class Verdict:
     def whole(self) -> bool:
         """Whether every trial that was planned has a result."""
         return 0 < self.planned == sum(item.n for item in self.per_scene)
+
+    @property
+    def regressed_by(self) -> tuple[str, ...]:
+        """What made it REGRESSED, in words: the bar, the baseline, a scene, a score."""
+        if self.verdict != "REGRESSED":
+            return ()
+        found, by = self.against, list[str]()
+        if self.bar is not None and self.interval.high < self.bar:
+            by.append("the bar")
+        scenes = [item.scene for item in self.per_scene if item.flagged]
+        if found is not None and found.word == "REGRESSED":
+            if found.mean_regressed:
+                by.append("the baseline comparison")
+            critical = (item for item in found.scenes if item.named and item.tier == "critical")
+            scenes += [item.name for item in critical]
+        by += [f"critical scene {name}" for name in dict.fromkeys(scenes)]
+        return (
+            *by,
+            *(f"score {item.spec.name}" for item in self.scores if item.word == self.verdict),
+        )
 
     @property
     def exit_code(self) -> int:
@@ -163,14 +185,16 @@ class Recheck:
     def in_words(self) -> str:
         """How many trials ran again, and its result."""
         if not self.compared:
-            return "none run again"
+            return "no trial re-run"
         if not self.equal:
             return (
-                f"{self.ran} run again with different results, so none is taken from the baseline"
+                f"this machine computes slightly different results from the one that saved the "
+                f"baseline, so no result is reused ({plural(self.ran, 'trial')} re-run)"
             )
-        if self.ran == self.compared:
-            return f"{self.ran} run again and equal"
-        return f"{self.compared} compared and equal, {self.ran} of them run again"
+        reused = self.compared - self.ran
+        cached = f", {reused} reused from the cache and identical" if reused else ""
+        rest = "; the other results come from the baseline" if self.taken_over else ""
+        return f"{plural(self.ran, 'trial')} re-run and identical{cached}{rest}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,6 +249,14 @@ class SceneDrop:
         return " ".join([self.scene, *(f"{axis} {value:g}" for axis, value in self.perturbation)])
 
 
+class Paired(NamedTuple):
+    """How many trials from the same initial states completed."""
+
+    candidate: int
+    baseline: int
+    trials: int
+
+
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
     """What the trials so far show of the candidate's drop against a baseline.
@@ -245,6 +277,11 @@ class Comparison:
     """Most that were to be run."""
     starts: int
     """M."""
+    paired: Paired | None = None
+    """Trials completed from the same initial states; None where the two have none in common."""
+    baseline_met: float | None = None
+    """The baseline's mean in the scenes of the trials that `drop` is of: the candidate's mean over
+    these trials and the drop. None without a trial."""
     baseline: float
     """B, of the scenes that count. Beside a control it is that of the pairs of trials that bear on
     the drop, and the baseline's while there are none."""
@@ -280,9 +317,11 @@ class Comparison:
     is_own: bool = False
     """Whether the candidate is the baseline's own policy, with other bits than the baseline's: what
     is compared is this machine or version."""
-    curve: tuple[CurvePoint, CurvePoint, CurvePoint] | None = None
-    """How this gate ends for an equal policy, and for ones worse by half of max_drop and by it;
-    simulated, where that was asked for."""
+    curve: tuple[tuple[CurvePoint, ...], tuple[CurvePoint, ...], tuple[CurvePoint, ...]] | None = (
+        None
+    )
+    """How this gate ends for an equal policy, and for ones worse by half of max_drop and by it:
+    a point for each kind of policy; simulated, where that was asked for."""
 
     @property
     def settled(self) -> bool:

@@ -20,7 +20,9 @@ def shown(page: Path, verdict: str) -> str:
     """The block of a page that has this verdict."""
     text = page.read_text(encoding="utf-8")
     blocks = re.findall(r"^```\w*\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    (found,) = [block for block in blocks if f"{verdict} · " in block]
+    (found,) = [
+        block for block in blocks if re.search(f"^{verdict}( by [a-z ]+)? · ", block, re.MULTILINE)
+    ]
     return found
 
 
@@ -33,8 +35,7 @@ def test_the_verdict_of_make_run_is_of_the_committed_baseline() -> None:
     bank, gate = read_bank(find_bank("go1-act-rgb", suite="hurdles")), load_suite("hurdles").gate
     starts = [start for cell in bank.panels[0].by_stratum.values() for start in cell]
     completed = sum(start.completed for start in starts)
-    assert f"success {bank_mean(bank):.3f} (95 % bounds" in text
-    assert f", bar {gate.success_rate:g})" in text
+    assert f"success {bank_mean(bank):.3f} (bar {gate.success_rate:g})" in text
     assert (
         f"completed {completed} of {len(starts)} trials in {len(bank.manifest.key.scenes)}" in text
     )
@@ -61,11 +62,10 @@ def test_the_regression_is_shown_alike_and_of_the_shipped_suite_and_baseline() -
     assert block == shown(START, "REGRESSED")
     assert max(map(len, block.splitlines())) <= 120
     text = " ".join(block.splitlines())
-    mean = bank_mean(read_bank(find_bank("go1-parkour", suite="gaps")))
     gate = load_suite("gaps").gate
-    assert f"baseline go1-parkour {mean:.3f}, drop 0.332 " in text
-    assert f", bar {gate.success_rate:g})" in text
-    assert f"in 16 of {16 * gate.rounds_for(16)} trials · " in text
+    assert f"drop 0.332 (max_drop {gate.most_drop:g})" in text
+    assert f"success 0.594 (bar {gate.success_rate:g})" in text
+    assert f"With at most {16 * gate.rounds_for(16)} trials, " in text
     # What stands in the table that explains it is in it.
     words = re.findall(r"^\| `([^`]+)` \|", START.read_text(encoding="utf-8"), re.MULTILINE)
     assert words[:1] == ["success 0.594"]
@@ -83,7 +83,7 @@ def test_the_regression_is_what_its_command_prints(
         cli.main([*command.removeprefix("$ nw-eval ").split(), "--no-cache", "--out", "run"])
     assert left.value.code == 1
     printed = capsys.readouterr().out
-    if "ran beside the candidate" in printed:
+    if "computes slightly different results" in " ".join(printed.split()):
         pytest.skip("the bits here are not the baseline's: its own policy runs beside the other")
 
     assert timeless(" ".join(wanted)) in timeless(printed)

@@ -10,7 +10,7 @@ import pytest
 
 from nw_base.errors import StoreError
 from nw_eval.suite import Gate
-from nw_gate.absolute import courses, judge
+from nw_gate.absolute import courses, how_most_failed, judge
 from nw_gate.stats.betting import lower_bound, upper_bound
 
 BAR = Gate(success_rate=0.75)
@@ -279,3 +279,50 @@ def test_trials_of_a_task_without_waypoints_count_as_done_or_not(run_scene):
     ]
     (seen,) = courses({"a": rows}, judge(rows, BAR, {"a": 3}).per_scene)
     assert seen.counts.tolist() == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("ends", "words"),
+    [
+        ([4, 4], ""),
+        ([1, 4], "the failed trial fell, before waypoint 2"),
+        ([0, 0, 4], "all failed trials fell, before waypoint 1"),
+        ([0, 1, 1], "all failed trials fell, most often before waypoint 2"),
+    ],
+)
+def test_how_most_failed_is_said_in_one_clause(run_scene, ends, words):
+    assert how_most_failed(run_scene("a", ends)) == words
+
+
+def test_the_outcome_that_most_trials_had_is_told_with_where(run_scene):
+    fell = run_scene("a", [2, 2, 2, 0, 4, None])
+    rows = [replace(row, outcome="collided") for row in fell[:3]] + fell[3:]
+    assert how_most_failed(rows) == "3 of the 4 failed trials collided, before waypoint 3"
+    assert how_most_failed(rows, {row.trial_id for row in rows[:3]}) == (
+        "the failed trial fell, before waypoint 1"
+    )
+    verdict = judge(rows[:5], gate(tiers={"b": "informational"}), {"a": 5})
+    assert verdict.failures == "3 of the 4 failed trials collided, before waypoint 3"
+
+
+def test_what_made_a_run_regressed_is_named(run_scene):
+    rows = run_scene("a", [1] * 40)
+    assert judge(rows, BAR, {"a": 40}).regressed_by == ("the bar",)
+    both = judge(rows, gate(tiers={"a": "critical"}), {"a": 40})
+    assert both.regressed_by == ("the bar", "critical scene a")
+    one = judge(
+        run_scene("a", [0] * 20) + run_scene("b", [4] * 60) + run_scene("c", [4] * 60),
+        gate(tiers={"a": "critical"}),
+        {"a": 20, "b": 60, "c": 60},
+    )
+    assert (one.verdict, one.regressed_by) == ("REGRESSED", ("critical scene a",))
+    assert judge(run_scene("a", [4] * 40), BAR, {"a": 40}).regressed_by == ()
+
+
+def test_a_bound_that_is_the_end_of_the_range_is_not_told(run_scene):
+    failed = judge(run_scene("a", [0, 0]), BAR, {"a": 2})
+    assert failed.interval.low == 0.0
+    assert failed.reasons[0].startswith("success is at most 0.")
+    assert failed.reasons[0].endswith("(95 % confidence), more than the bar 0.75")
+    perfect = judge(run_scene("a", [4, 4]), BAR, {"a": 2})
+    assert perfect.reasons[0].endswith("(95 % confidence), less than the bar 0.75")

@@ -88,10 +88,10 @@ class Contest:
         """
         run, name, policy = own.info, self._against.info.name, self._plan.bundle.name
         if self._plan.is_baseline:
-            count = plural(rechecks(self._plan.request), "start")
+            count = plural(rechecks(self._plan.request), "initial state")
             self._how.told.message(
-                f"{policy} is the policy of baseline {name}: {count} of each scene run again, and "
-                "if they match, the other results are taken from the baseline"
+                f"{policy} is the policy of baseline {name}: {count} of each scene re-run; if they "
+                "match, the other results come from the baseline"
             )
         elif not self._is_seen(run):
             run = self._looked_at(own, interrupts)
@@ -133,7 +133,8 @@ class Contest:
         """Return run.json with what trials of the baseline show of this class of machine."""
         name, run = self._against.info.name, own.info
         self._how.told.message(
-            f"baseline {name} has not seen this class of machine: its own policy runs first"
+            f"baseline {name} has not seen this class of machine, which is normal: its own policy "
+            "runs first as a check"
         )
         self._beside = beside = self._cleanup.enter_context(
             Beside(self._plan, self._against, own, interrupts, self._how)
@@ -148,8 +149,9 @@ class Contest:
             return run.model_copy(update={"baseline": known, "stop": StopInfo(first=0)})
         if not alike:
             self._how.told.message(
-                f"bits are others here than in baseline {name}: its policy runs beside "
-                f"{self._plan.bundle.name} from the same starts, and is compared with it"
+                "this machine computes slightly different results from the one that saved baseline "
+                f"{name}, which is normal between processors: {self._plan.bundle.name} is compared "
+                "with the baseline's policy, which runs here from the same initial states"
             )
         if not alike and self._plan.shard is not None:
             # A part has all its trials, so that nothing is gained by waiting for the candidate's.

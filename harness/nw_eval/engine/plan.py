@@ -358,7 +358,7 @@ def _power(plan: Plan) -> str | None:
         outset = outset_of_bank(panel, gate, budget=budget, against=gate.claim)
     except IncomparableError:
         return None  # The run says why.
-    return in_a_sentence(outset.power_forecast())
+    return in_a_sentence(outset.power_forecast(), outset.budget)
 
 
 def _warnings(plan: Plan) -> tuple[str, ...]:

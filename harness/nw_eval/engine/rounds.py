@@ -66,7 +66,7 @@ def _ended(standing: RunStanding, ran: int, of: int) -> str:
             f"{'holds' if len(standing.waits_for) == 1 else 'hold'} a PASS back, and no trial of "
             "it is left; --resume with more --trials runs more"
         )
-    return f"decided after {plural(ran, 'trial')}: {of - ran} of {of} trials need not run"
+    return f"decided after {ran} of {plural(of, 'trial')}; the rest were skipped"
 
 
 @dataclass(kw_only=True, eq=False)

@@ -10,32 +10,44 @@ from nw_base.plural import plural
 from nw_base.protocol import PROTOCOLS, STRICT
 from nw_gate.baseline.power_forecast import in_a_sentence
 from nw_gate.results.provenance import RunInfo
-from nw_gate.verdict import Comparison, Recheck, Verdict, percent_sure
+from nw_gate.verdict import Comparison, Verdict
 
 
 def headline(verdict: Verdict, run: RunInfo) -> str:
-    """Return verdict, success (share of waypoints), completed (of trials) and cost, on a line."""
-    return " · ".join(headline_parts(verdict, run))
+    """Return the verdict and what made it, what happened, success and cost, on a line."""
+    word, *parts = headline_parts(verdict, run)
+    return " · ".join([f"{word}{flagged_by(verdict)}", *parts])
 
 
-def headline_parts(verdict: Verdict, run: RunInfo, *, intervals: bool = True) -> tuple[str, ...]:
-    """Return what the headline is joined of, the verdict's word first.
+def flagged_by(verdict: Verdict) -> str:
+    """Return what made a verdict REGRESSED, such as ` by the bar`; nothing for any other."""
+    by = verdict.regressed_by
+    most = ", ".join(by[:_NAMED]) + (f" and {len(by) - _NAMED} more" if len(by) > _NAMED else "")
+    return f" by {most}" if by else ""
+
+
+_NAMED = 3
+
+
+def headline_parts(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
+    """Return what the headline is joined of: the verdict's word, then the meaning, then numbers.
+
+    Bounds are in the reasons beneath, which say each of them once.
 
     Args:
         verdict: what the gate says of the run.
         run: the run's provenance.
-        intervals: whether means have theirs; a page that draws them shows them once.
     """
-    part = [] if run.shard is None else [str(run.shard)]
-    parts = [verdict.verdict, *part, *_against(verdict.against, intervals=intervals)]
+    parts = [verdict.verdict] + ([] if run.shard is None else [str(run.shard)])
+    same = _same_policy(verdict.against)
+    if same:
+        parts.append(same)
+    parts.append(_completed(verdict, run))
+    if verdict.failures and verdict.verdict in {"REGRESSED", "INCONCLUSIVE"}:
+        parts.append(verdict.failures)
     if verdict.success is not None:
-        unjudged = "not judged" if verdict.against is None else "no bar"
-        bar = unjudged if verdict.bar is None else f"bar {verdict.bar:g}"
-        low, high = verdict.interval
-        bounds = f"{confidence(verdict)} bounds {low:.3f} and {high:.3f}, " if intervals else ""
-        parts.append(f"success {verdict.success:.3f} ({bounds}{bar})")
+        parts.append(_success(verdict))
     parts += _scores(verdict)
-    parts += _trials(verdict, run)
     if verdict.left:
         parts.append(f"{len(verdict.left)} left the captured volume")
     if verdict.errors:
@@ -46,18 +58,31 @@ def headline_parts(verdict: Verdict, run: RunInfo, *, intervals: bool = True) ->
 
 
 def blind_spot(verdict: Verdict, run: RunInfo) -> str:
-    """Return what the bounds speak of, and what a gate against a baseline notices, on a line."""
+    """Return what the bounds apply to, and what a gate against a baseline finds, on a line."""
     if run.is_part:
         return "A part of a run speaks for nothing but its own trials."
     if verdict.success is None:
         return "No trial has a result, so nothing can be said."
-    sentence = "The bounds of success are for new starts in these scenes"
+    sentence = "The bounds apply to new initial states in these scenes."
+    if verdict.bar is None:
+        sentence = (
+            f"For new initial states in these scenes, success is {_between(verdict)} "
+            f"({confidence(verdict)} confidence)."
+        )
     if verdict.whole and _met_all(verdict, run):
         # The simulator gives the same bits every time: on these starts nothing is estimated.
-        sentence += f"; in this {_seed_set(run)} it is known: {verdict.success:.3f}"
-    if verdict.against is not None and verdict.against.curve is not None:
-        return f"{sentence}. {in_a_sentence(verdict.against.curve)}."
-    return f"{sentence}."
+        sentence += f" On this {_seed_set(run)} success is exactly {verdict.success:.3f}."
+    found = verdict.against
+    if found is not None and found.curve is not None:
+        return f"{sentence} {in_a_sentence(found.curve, found.budget)}."
+    return sentence
+
+
+def _between(verdict: Verdict) -> str:
+    low, high = verdict.interval
+    if low < _ALIKE:
+        return f"at most {high:.3f}"
+    return f"at least {low:.3f}" if high > 1.0 - _ALIKE else f"between {low:.3f} and {high:.3f}"
 
 
 def confidence(verdict: Verdict) -> str:
@@ -77,7 +102,7 @@ def stopped_early(run: RunInfo) -> str:
     if run.stop is None:
         return ""
     most = sum(scene.trials for scene in run.scenes.values())
-    return f"stopped after {sum(run.stop.trials.values())} of at most {most} trials"
+    return f"decided after {sum(run.stop.trials.values())} of {most} trials; the rest were skipped"
 
 
 def _scores(verdict: Verdict) -> list[str]:
@@ -96,54 +121,71 @@ def _scores(verdict: Verdict) -> list[str]:
     return parts
 
 
-def _trials(verdict: Verdict, run: RunInfo) -> list[str]:
-    """Return how many trials completed, and how many there were in how many scenes."""
+def _completed(verdict: Verdict, run: RunInfo) -> str:
+    """Return how many trials completed, in how many scenes, and the baseline's from the same."""
     ran = sum(item.n for item in verdict.per_scene)
     scenes = part_of_suite(verdict, run)
     if not scenes:
         scenes = plural(sum(item.n > 0 for item in verdict.per_scene), "scene")
-    if verdict.whole and ran == verdict.n:
-        return [f"completed {verdict.completed} of {plural(ran, 'trial')} in {scenes}"]
-    done = [f"completed {verdict.completed} of {verdict.n}"] if verdict.n else []
     of = f"{ran}" if ran == verdict.planned else f"{ran} of {verdict.planned}"
-    noun = "trial" if of == "1" or of.endswith(" of 1") else "trials"
-    return [*done, f"{of} {noun} in {scenes}"]
+    if not verdict.n:
+        noun = "trial" if of == "1" or of.endswith(" of 1") else "trials"
+        return f"{of} {noun} in {scenes}"
+    if ran == verdict.planned == verdict.n:
+        said = f"completed {verdict.completed} of {plural(ran, 'trial')} in {scenes}"
+    else:
+        # Those of informational scenes, and such as have no result, are in no count of completed.
+        counted = plural(verdict.n, "counted trial")
+        said = f"completed {verdict.completed} of {counted}; {of} ran in {scenes}"
+    return said + _beside(verdict)
 
 
-def _against(found: Comparison | None, *, intervals: bool) -> list[str]:
-    """Return what the baseline says of the drop, if there is one."""
+def _beside(verdict: Verdict) -> str:
+    """Return how many trials the baseline completed from the same initial states."""
+    found = verdict.against
+    if found is None or found.paired is None or found.drop is None:
+        return ""
+    ours, theirs, trials = found.paired
+    if (ours, trials) == (verdict.completed, verdict.n):
+        return f"; baseline {found.bank} completed {theirs} of the same {trials}"
+    return f"; of the {trials} compared it completed {ours}, baseline {found.bank} {theirs}"
+
+
+def _success(verdict: Verdict) -> str:
+    """Return mean success, the baseline's in the same scenes, and what is asked of both.
+
+    Success is the baseline's less the drop. Where trials that are not compared bear on it too, or
+    trials that count less, the drop stands alone, with its trials.
+    """
+    unjudged = "not judged" if verdict.against is None else "no bar"
+    bar = unjudged if verdict.bar is None else f"bar {verdict.bar:g}"
+    success, found = f"success {verdict.success:.3f} ({bar})", verdict.against
+    if found is None or found.drop is None:
+        return success
+    drop, met = f"drop {found.drop:z.3f} (max_drop {found.max_drop:g})", found.baseline_met
+    assert verdict.success is not None, "asked for where it is known"
+    if met is not None and abs(met - found.drop - verdict.success) < _ALIKE:
+        return f"{success}, baseline {met:.3f} in the same scenes, {drop}"
+    return f"{success}, {drop} in the {plural(found.trials, 'trial')} compared"
+
+
+_ALIKE = 5e-4
+"""What is printed with three digits as the same."""
+
+
+def _same_policy(found: Comparison | None) -> str:
+    """Return what is said where the policy is the baseline's own; nothing of any other."""
     if found is None:
-        return []
-    if found.drop is None or found.interval is None:
-        if found.again is not None and found.again.differing:
-            return [f"baseline {found.bank} is not what its own policy does"]
-        if found.is_own:
-            return [f"baseline {found.bank} is the same policy, with other bits here"]
-        same = "is the same policy" if found.basis == "same" else f"scores {found.baseline:.3f}"
-        return [f"baseline {found.bank} {same}", *_again(found.again)]
-    beside = " (run beside)" if found.basis == "control" else ""
+        return ""
+    same = f"same policy as baseline {found.bank}"
+    if found.again is not None and found.again.differing:
+        return f"{same}, but its results differ from the baseline's"
     if found.is_own:
-        beside = " (the same policy, other bits here)"
-    drop = f"baseline {found.bank}{beside} {found.baseline:.3f}, drop {found.drop:z.3f}"
-    ends = [
-        f"{percent_sure(alpha)} {name} bound {end:z.3f}"
-        for name, alpha, end in (
-            ("lower", found.alpha_regr, found.known_low),
-            ("upper", found.alpha_pass, found.known_high),
-        )
-        if end is not None
-    ]
-    if intervals and ends:
-        drop += f" ({', '.join(ends)})"
-    return [f"{drop} in {found.trials} of {plural(found.budget, 'trial')}"]
-
-
-def _again(again: Recheck | None) -> list[str]:
-    """Return how many trials of the baseline's own policy ran again, and the result."""
-    if again is None:
-        return []
-    over = "taken over from the baseline, " if again.taken_over else ""
-    return [f"{over}{again.in_words}"]
+        return f"{same}, but this machine or version computes different results"
+    if found.basis == "same":
+        # Where the other results come from is said beneath, in the reasons.
+        return same if found.again is None else f"{same}: {found.again.in_words.partition(';')[0]}"
+    return ""
 
 
 def _seed_set(run: RunInfo) -> str:
@@ -169,12 +211,12 @@ def _duration(seconds: float) -> str:
 
 _PINNED = (
     "The seed set is pinned, the suite's own. On it success is known, not estimated: the "
-    "same trial gives the same bits. Whoever picks the best of many checkpoints on one seed "
-    "set picks luck too: --seed-set fresh draws the checkpoint's own, to confirm the choice on."
+    "same trial gives the same result. Picking the best of many checkpoints favours luck: confirm "
+    "it with --seed-set fresh."
 )
 _FRESH = (
-    "The seed set is fresh: it follows from what the checkpoint computes: no user chose "
-    "the checkpoint by these starts, nor the starts for it."
+    "The seed set is fresh: it follows from what the checkpoint computes. No user "
+    "chose the checkpoint by these initial states, or the initial states for it."
 )
 _CHANCES = (
     "The chances that more trials decide come from simulated trials, in which every part of "
@@ -182,8 +224,8 @@ _CHANCES = (
     "is left open."
 )
 _SAME_OFFSETS = (
-    "The protocol {protocol} gives trial number i the same start offset in every scene, so "
-    "scenes are not independent of each other, as the bounds suppose."
+    "The protocol {protocol} gives trial number i the same offset of its initial state in every "
+    "scene, so scenes are not independent of each other, as the bounds suppose."
 )
 
 
@@ -207,8 +249,8 @@ def how_sure(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
 
 def _bounds(verdict: Verdict) -> str:
     return (
-        f"The bounds hold for new starts in these scenes, {confidence(verdict)} each, whatever "
-        "the distribution of success, and however often trials are added and judged again. They "
+        f"The bounds hold for new initial states in these scenes, {confidence(verdict)} each, for "
+        "any distribution of success, and however often trials are added and judged again. They "
         "say nothing of other scenes."
     )
 
@@ -223,18 +265,19 @@ def _alone(verdict: Verdict, critical: int) -> str:
 
 
 _SAME = (
-    "Checkpoint and card are the baseline's, by their digests: the simulator gives the same policy "
-    "the same bits, so that no trial could tell the two apart."
+    "Checkpoint and card are the baseline's, by their digests. The simulator gives the same policy "
+    "the same results, so no trial can tell the two apart."
 )
 _TAKEN_OVER = (
-    "Results that did not run again are what the baseline's file says. Which starts ran again was "
-    "drawn when the run began. Each trial that ran again shows a file that is wrong in a share p "
-    "of its starts with probability p; `nw-eval baseline verify` runs any share of them."
+    "Results that were not re-run are those of the baseline's file. Which trials were re-run was "
+    "drawn when the run began. Each of them finds a file that is wrong in a share p of its trials "
+    "with probability p; `nw-eval baseline verify` re-runs any share of them."
 )
 _CURVE = (
-    "What this gate does with policies that it has not met is simulated: in every scene their odds "
-    "of reaching the next waypoint are lower by one factor, and nothing ties a trial to that of "
-    "the baseline from the same start. Between the two drops either verdict is legitimate."
+    "What this gate does with other policies is simulated, with two kinds of them: every waypoint "
+    "is harder by one factor, or a trial completes the course or scores 0. Nothing ties a trial to "
+    "that of the baseline from the same initial state. Between `tolerate` and `max_drop` either "
+    "verdict is legitimate."
 )
 
 
@@ -253,9 +296,9 @@ def _errors(found: Comparison) -> str:
         f"A drop of {found.max_drop:g} or more against the baseline passes with probability at "
         f"most {false_pass}, and a drop of {found.tolerate:g} or less is flagged by the mean "
         f"with probability at most {false_alarm}. Both hold at any stopping time, and so does the "
-        f"interval (lower end {false_alarm}, upper end {false_pass}). The estimated drop is of the "
-        "trials up to one that the results chose, which biases it away from zero; the bounds have "
-        "no such bias. All tests of this gate "
+        f"interval (lower end {false_alarm}, upper end {false_pass}). Success and drop are "
+        "estimates at a stop that the results chose, which biases the drop away from zero; the "
+        "bounds have no such bias. All tests of this gate "
         f"together report REGRESSED of a policy that is good enough (above the bar, dropped by "
         f"{found.tolerate:g} at most, in no scene by more than {found.scene_drop:g}) with "
         f"probability at most {_percent(found.false_alarm)}. The verdict is on this checkpoint, "
@@ -265,34 +308,34 @@ def _errors(found: Comparison) -> str:
 
 def _claim(found: Comparison) -> str:
     """Return of which starts it speaks, and why."""
-    starts = plural(found.starts, "start")
+    starts = plural(found.starts, "initial state")
     if found.claim == "panel":
         return (
             f"What the baseline does from each of its {starts} a scene is known, and scenes and "
-            "starts were drawn at random for the candidate: the claim is of these starts only."
+            "initial states were drawn at random for the candidate: the claim is of these only."
         )
     if found.basis == "control":
         return (
-            "Bits differ between this machine and the baseline's, so that its recorded results are "
-            "not used: its policy ran beside the candidate, from the same starts. The claim is of "
-            "new starts in these scenes."
+            "This machine computes other results than the baseline's, so its recorded results are "
+            "not used: its policy ran beside the candidate, from the same initial states. The "
+            "claim is of new initial states in these scenes."
         )
     if found.is_own:
         return (
-            "The policy is the baseline's own, and bits are others here. It met starts drawn at "
-            "random, and the mean is judged after whole rounds of one trial a scene. The claim is "
-            "of new starts in these scenes on this machine and version."
+            "The policy is the baseline's own, and its results are others here. It met initial "
+            "states drawn at random, and the mean is judged after whole rounds of one trial a "
+            "scene. The claim is of new initial states in these scenes on this machine and version."
         )
     # Which scenes the trials met is by chance, and the drop is free of that.
     how = (
-        f"the candidate met new starts, and the baseline's mean is of {starts} in each scene"
+        f"the candidate met new ones, and the baseline's mean is of {starts} in each scene"
         if found.basis == "fresh"
-        else f"scenes and starts were drawn at random from the baseline's {starts} a scene"
+        else f"scenes and states were drawn at random from the baseline's {starts} a scene"
     )
     return (
-        f"The claim is of new starts in these scenes: {how}. The drop compares each trial with the "
-        "baseline's mean in its scene. Mean success is of the trials drawn, which meet easy and "
-        "hard scenes by chance: it need not be the baseline's mean less the drop."
+        f"The claim is of new initial states in these scenes: {how}. The drop compares each trial "
+        "with the baseline's mean in its scene, so that the baseline's success in the headline is "
+        "of the scenes that these trials met, some of them easy and some hard by chance."
     )
 
 

@@ -149,7 +149,7 @@ def _faults(score: SceneScore, drops: Sequence[SceneDrop], verdict: Verdict) -> 
 def _fell(item: SceneDrop) -> str:
     """Return how a scene fell against the baseline."""
     now = "none" if item.candidate is None else f"{item.candidate:.2f}"
-    where = "" if item.waypoint is None else f", from waypoint {item.waypoint} on"
+    where = "" if item.waypoint is None else f", worse from waypoint {item.waypoint}"
     cell = item.name.removeprefix(item.scene).strip()
     return f"regressed from {item.baseline:.2f} to {now}{where}{f' at {cell}' if cell else ''}"
 

@@ -57,10 +57,9 @@ def _policies(found: PolicyComparison) -> Table:
         ),
         numbers=frozenset({"success"}),
         note=f"Success is the mean over scenes of the share of waypoints reached, {_met(found)}. "
-        "On these starts it is known; intervals and ranks are what new starts in the same scenes "
-        "may give (a Bayesian bootstrap, and bets on the differences of trials). A range of ranks "
-        f"is not decided yet; with {percent} confidence no policy's true rank is outside its own "
-        "(Mogstad, Romano, Shaikh and Wilhelm, 2024, with Holm's procedure).",
+        "For these initial states it is exact. Intervals and ranks are for new initial states in "
+        f"the same scenes: each interval holds alone, all ranks hold together ({percent} "
+        "confidence). A range of ranks is not decided yet.",
     )
 
 
@@ -147,7 +146,8 @@ def _partings(found: PolicyComparison) -> Table:
         columns=("policy", "scene", "waypoint", f"{first} missed it", "policy missed it", "sure"),
         rows=tuple(_parting(found, each) for each in (*shown, *suspect[:_MOST])),
         numbers=frozenset({"waypoint"}),
-        note=f"Missed it: of the trials that came so far. {len(shown)} shown among "
+        note=f"Missed it: of the trials that reached the previous waypoint. "
+        f"{len(shown)} shown among "
         f"{plural(found.waypoints, 'waypoint')} looked at, with {percent} confidence for all of "
         "them (Fisher's exact test within scenes, Holm's procedure for all scenes together and for "
         "single ones, half of the error each). Suspect: sure if this waypoint were the only one, "

@@ -106,8 +106,8 @@ def _of_machine(verdict: Verdict, found: Comparison, gate: Gate) -> Verdict:
     if gate.success_rate is not None and found.baseline < gate.success_rate:
         return verdict
     why = (
-        f"the baseline {found.bank} says {found.baseline:.3f} of the same policy: this machine or "
-        "version changed, and not the policy"
+        f"baseline {found.bank} has success {found.baseline:.3f} for the same policy: this machine "
+        "or version changed, not the policy"
     )
     return replace(verdict, verdict="INVALID", reasons=(why, *verdict.reasons))
 
@@ -136,7 +136,7 @@ def unjudged(gate: Gate, suite: str, policy: str) -> str | None:
         return None
     own = "" if named is None else f" ({named} is for the suite's own policy)"
     return (
-        f"max_drop {gate.most_drop:g} was not judged: no baseline is named for {policy}{own}; "
+        f"max_drop {gate.most_drop:g} was ignored: {policy} has no baseline in this suite{own}; "
         f"`nw-eval baseline save {quote(suite)} --policy {quote(policy)}` saves one, "
         "--baseline names it"
     )

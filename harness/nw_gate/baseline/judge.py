@@ -38,18 +38,18 @@ from nw_gate.baseline.match import (
     met_others,
     recheck,
 )
-from nw_gate.baseline.power_forecast import Outset, about_more_trials, outset_of_bank
+from nw_gate.baseline.power_forecast import Forecast, Outset, about_more_trials, outset_of_bank
 from nw_gate.results.bank import Against, BaselineResults, Panel, Start, Stratum, score
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
 from nw_gate.settings import Gate
-from nw_gate.stats.bank.curve import CurvePoint, progress_from
+from nw_gate.stats.bank.curve import progress_from
 from nw_gate.stats.bank.interval import drop_interval_after
 from nw_gate.stats.bank.trials import CRITICAL_TRIALS, SUSPECT, most_false_alarms
 from nw_gate.stats.hazard import Ends, first_partings
 from nw_gate.stats.interval import Interval
 from nw_gate.validity import over_the_cap, that_left
-from nw_gate.verdict import Basis, Claim, Comparison, SceneDrop, percent_sure
+from nw_gate.verdict import Basis, Claim, Comparison, Paired, SceneDrop, percent_sure
 
 _FURTHER = 4
 """How many times its budget of trials a run that is undecided might have, for what more bring."""
@@ -243,6 +243,8 @@ def compare(
         trials=len(finding.used),
         budget=len(met.places(setup.judged)),
         starts=setup.bank.manifest.starts,
+        paired=_paired(setup, met, finding),
+        baseline_met=_level_met(setup, met, finding),
         baseline=_level(finding, panel, setup.judged),
         drop=finding.drop,
         interval=finding.interval,
@@ -351,6 +353,35 @@ def _level(finding: Finding, panel: Panel, judged: Sequence[Stratum]) -> float:
     return float(np.mean([scores_of(panel, stratum).mean() for stratum in judged]))
 
 
+def _level_met(setup: ComparisonSetup, met: Met, finding: Finding) -> float | None:
+    """Return the baseline's mean in the scenes of the trials that bear on the mean."""
+    if finding.drop is None:
+        return None
+    places = [place for place in finding.used if place < finding.first]
+    scores = np.concatenate([met.scores(stratum, places) for stratum in setup.judged])
+    known = scores[~np.isnan(scores)]
+    return float(known.mean()) + finding.drop if known.size else None
+
+
+def _paired(setup: ComparisonSetup, met: Met, finding: Finding) -> Paired | None:
+    """Return how many trials completed of those that both policies have from one start."""
+    ours: list[bool] = []
+    theirs: list[bool] = []
+    if setup.basis == "fresh":
+        return None
+    for place in finding.used:
+        row, (scene, cell, start) = met.rows[place], met.order[place]
+        beside = (
+            setup.panel.by_stratum[scene, cell][start]
+            if met.control is None
+            else met.control[place]
+        )
+        if row is not None and beside is not None and row.trial_id not in met.left:
+            ours.append(row.completed)
+            theirs.append(beside.completed)
+    return Paired(sum(ours), sum(theirs), len(ours)) if ours else None
+
+
 def _waypoints(
     strata: Iterable[Stratum], met: Met, used: Collection[int], panel: Panel
 ) -> Mapping[Stratum, int]:
@@ -400,9 +431,8 @@ def _in_words(found: Comparison, finding: Finding) -> tuple[str, ...]:
     if found.basis == "same":
         again = found.again
         if again is None:
-            return (f"the same policy as the baseline {found.policy}: nothing to test",)
-        over = "taken over from the baseline, " if again.taken_over else ""
-        return (f"the same policy as the baseline {found.policy}: {over}{again.in_words}",)
+            return (f"same policy as baseline {found.bank}: nothing to compare",)
+        return (f"same policy as baseline {found.bank}: {again.in_words}",)
     fallen, mean = _fallen(found), _mean(found)
     if found.is_own and found.word == "REGRESSED":
         mean = _moved(found)
@@ -417,53 +447,56 @@ def _in_words(found: Comparison, finding: Finding) -> tuple[str, ...]:
 
 def _mean(found: Comparison) -> str:
     """Return what was found of the mean."""
-    name, drops = f"the baseline {found.bank}", found.interval
+    name, drops, trials = f"baseline {found.bank}", found.interval, plural(found.trials, "trial")
     if not found.trials or found.drop is None:
         return f"no trial has been compared with {name} yet"
-    in_trials = f"in {plural(found.trials, 'trial')}"
-    if drops is None:
-        return f"mean success dropped by {found.drop:z.3f} from {name} {in_trials}"
-    at_most, at_least = percent_sure(found.alpha_pass), percent_sure(found.alpha_regr)
-    if found.word == "PASS":
-        worst = f"at most {drops.high:.3f} worse" if drops.high > 0.0 else "no worse"
-        if float(f"{drops.high:.3f}") >= found.max_drop:  # Rounded it would contradict the verdict.
-            worst = f"less than {found.max_drop:g} worse"
-        return (
-            f"{worst} than {name} ({at_most} confidence) {in_trials}: a drop of "
-            f"{found.max_drop:g} is excluded"
-        )
-    low, high = found.known_low, found.known_high
-    ends = [] if low is None else [f"at least {low:z.3f} ({at_least} confidence)"]
-    ends += [] if high is None else [f"at most {high:z.3f} ({at_most})"]
-    span = ", ".join(ends) or "of any size"
-    if found.mean_regressed:
-        return f"mean success regressed from {name}: {span} worse {in_trials}"
-    change = f"dropped by {found.drop:z.3f} from {name}"
+    drop = f"estimated drop from {name}: {found.drop:z.3f} ({trials})"
     if found.drop < 0.0:
-        change = f"rose by {-found.drop:.3f} from {name}"
-        span = f"which leaves a drop of {span}"
-    drop = f"mean success {change} {in_trials}, {span}"
+        drop = f"estimated gain over {name}: {-found.drop:.3f} ({trials})"
+    if drops is None:
+        return drop
+    most = f"{percent_sure(found.alpha_pass)} confidence"
+    if found.word == "PASS":
+        worst = f"{_at_most(drops, found)} than {name} ({most}, {trials})"
+        return f"{worst}; max_drop is {found.max_drop:g}"
+    if found.mean_regressed:
+        least = f"{percent_sure(found.alpha_regr)} confidence, {trials}"
+        worse = f"mean success is at least {drops.low:z.3f} worse"
+        if float(f"{drops.low:.3f}") <= found.tolerate:  # Rounded it would contradict the verdict.
+            worse = f"mean success is more than {found.tolerate:g} worse"
+        return f"{worse} than {name} ({least}); tolerate is {found.tolerate:g}"
     if drops.high < found.max_drop:
-        return f"{drop}: a drop of {found.max_drop:g} is excluded"
-    return (
-        f"{drop}: undecided, the data fit a drop of {found.max_drop:g} and a drop below "
-        f"{found.tolerate:g}"
-    )
+        return f"{drop}; {_at_most(drops, found)} ({most}), max_drop is {found.max_drop:g}"
+    gains = found.drop < 0.0
+    change = f"{'gain' if gains else 'drop'} {abs(found.drop):.3f} ({trials})"
+    high = ""
+    if found.known_high is not None:
+        high = f", {'a drop of ' if gains else ''}at most {found.known_high:z.3f} ({most})"
+    return f"the comparison with {name} is undecided: estimated {change}{high}"
+
+
+def _at_most(drops: Interval, found: Comparison) -> str:
+    """Return how much worse the candidate is at most."""
+    if drops.high <= 0.0:
+        return "no worse"
+    if float(f"{drops.high:.3f}") >= found.max_drop:  # Rounded it would contradict the verdict.
+        return f"less than {found.max_drop:g} worse"
+    return f"at most {drops.high:.3f} worse"
 
 
 def _moved(found: Comparison) -> str:
     """Return what was found of a machine or version on which the baseline's policy scores less."""
     assert found.drop is not None, "something was found"
-    span = "" if found.interval is None else f", {_range(found.interval)}"
+    span = "" if found.interval is None else f", {_range(found.interval)},"
     return (
-        f"this machine or version scores {found.drop:.3f} less than the baseline {found.bank} says"
-        f"{span} ({plural(found.trials, 'trial')} of the same policy): nothing here says anything "
-        "of a candidate; find what changed, or save the baseline anew"
+        f"this machine or version scores {found.drop:.3f} less than baseline {found.bank}{span} "
+        f"({plural(found.trials, 'trial')} of the same policy): no candidate can be judged here; "
+        "find what changed, or save the baseline again"
     )
 
 
 def _range(drops: Interval) -> str:
-    return f"between {drops.low:z.3f} and {drops.high:z.3f}"
+    return f"{drops.low:z.3f} to {drops.high:z.3f}"
 
 
 def _fallen(found: Comparison) -> tuple[str, ...]:
@@ -473,7 +506,10 @@ def _fallen(found: Comparison) -> tuple[str, ...]:
     named.sort(key=lambda item: (order[item.tier], -item.evidence, item.name))
     shown = tuple(_fell(item) for item in named[:_NAMED])
     if len(named) > _NAMED:
-        return (*shown, f"{plural(len(named) - _NAMED, 'more scene')} regressed, see the table")
+        return (
+            *shown,
+            f"{plural(len(named) - _NAMED, 'more scene')} regressed, see the table of scenes",
+        )
     return shown
 
 
@@ -490,11 +526,11 @@ def _largest(found: Comparison) -> Iterable[str]:
     lower.sort(key=lambda item: (-item.evidence, item.name))
     if lower:
         worst = "; ".join(f"{item.name} {_change(item)}" for item in lower[:_NAMED])
-        yield f"no single scene regressed significantly; largest drops: {worst}"
+        yield f"largest drops, none significant alone: {worst}"
 
 
 def _change(item: SceneDrop) -> str:
-    onwards = "" if item.waypoint is None else f", from waypoint {item.waypoint} on"
+    onwards = "" if item.waypoint is None else f", worse from waypoint {item.waypoint}"
     return f"{item.baseline:.2f} -> {item.candidate:.2f}{onwards}"
 
 
@@ -503,54 +539,54 @@ def _waiting(found: Comparison, finding: Finding) -> Iterable[str]:
     suspect = [item.name for item in waited if item.evidence >= SUSPECT]
     critical = [item.name for item in waited if item.evidence < SUSPECT]
     if suspect:
-        which = "it" if len(suspect) == 1 else "they"
-        held = f"the mean passes; PASS is held back by {_listed(suspect)}"
-        yield f"{held}: {which} may have regressed"
+        yield f"PASS is withheld: the mean passes, but {_listed(suspect)} may have regressed"
     if critical:
         yield (
-            f"the mean passes; PASS is held back by {_listed(critical)}: a critical scene needs "
+            f"PASS is withheld: the mean passes, but critical {_scenes_named(critical)} "
             f"{CRITICAL_TRIALS} trials"
         )
     if waited and not finding.ahead:
         yield "this run has no trial of it left" if len(waited) == 1 else _NONE_LEFT
 
 
+def _scenes_named(names: Sequence[str]) -> str:
+    several = len(names) > 1
+    return f"{'scenes' if several else 'scene'} {_listed(names)} {'need' if several else 'needs'}"
+
+
 def _limits(found: Comparison) -> Iterable[str]:
     """Return of which starts it speaks, and what was left out."""
     if found.claim == "panel":
         yield (
-            f"gate.claim is panel: this applies to the baseline's {plural(found.starts, 'start')} "
-            "in each scene, not for new ones"
+            f"gate.claim is panel: this applies to the baseline's {found.starts} initial states in "
+            "each scene, not to new ones"
         )
     if found.basis == "control":
         yield (
-            f"this machine or version gives other bits than the baseline's: its policy "
-            f"{found.policy} ran beside the candidate from the same starts "
-            f"({plural(found.control, 'trial')}), and is what it is compared with; a baseline "
-            "saved here saves these trials"
+            "this machine computes slightly different results from the one that saved the "
+            f"baseline, so the candidate is compared with {plural(found.control, 'trial')} of "
+            f"{found.policy} that ran here from the same initial states; "
+            "`nw-eval baseline save` on this machine saves that time"
         )
     if found.control_drop is not None:
         drop, drops = found.control_drop
         change = f"{drop:.3f} less" if drop >= 0.0 else f"{-drop:.3f} more"
-        yield (
-            f"{found.policy} itself scores {change} here than the baseline says; a change "
-            f"{_range(drops)} fits its trials"
-        )
+        yield (f"here {found.policy} scores {change} than the baseline says ({_range(drops)})")
     if found.is_own and found.again is not None:
         yield (
-            "the candidate is the baseline's own policy and gives other bits on this machine or "
-            f"version ({found.again.ran} run again): its trials were judged against "
-            "the baseline's results, like those of any candidate"
+            "the policy is the baseline's own, but this machine or version computes different "
+            f"results ({plural(found.again.ran, 'trial')} re-run): its trials are compared with "
+            "the baseline's like those of a new policy"
         )
     unmet = [item.name for item in found.scenes if item.counts and not item.trials]
     if found.word == "PASS" and unmet:
         yield (
-            f"PASS is on the mean: no trial met {_listed(unmet)}; "
-            f"a critical scene is met by {CRITICAL_TRIALS} before a PASS (gate.tiers)"
+            f"PASS is for the mean of all scenes: no trial ran in {_listed(unmet)}; a critical "
+            f"scene gets {CRITICAL_TRIALS} trials before a PASS (gate.tiers)"
         )
     if found.left_aside:
         left_aside = plural(found.left_aside, "scene")
-        yield f"the run was asked for some scenes only: {left_aside} of the baseline not compared"
+        yield f"only a part of the suite was run: {left_aside} of the baseline not compared"
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -560,7 +596,7 @@ def _listed(names: Sequence[str]) -> str:
 
 def _power_forecast(
     found: Comparison, met: Met, judged: Sequence[Stratum], panel: Panel, gate: Gate
-) -> tuple[tuple[CurvePoint, CurvePoint, CurvePoint], str | None]:
+) -> tuple[Forecast, str | None]:
     """Simulate what a comparison leaves open.
 
     Returns:

@@ -28,6 +28,7 @@ from nw_gate.results.bank import Panel, Start, Stratum, score
 from nw_gate.results.row import Row
 from nw_gate.settings import Gate
 from nw_gate.stats.bank.curve import (
+    KINDS,
     Against,
     CurvePoint,
     Progress,
@@ -43,6 +44,9 @@ NOTHING_MORE = (
     "every start of the baseline was met: a baseline with more starts, and as many trials, goes on"
 )
 _SO_FAR = "if the candidate is as it looks so far"
+Forecast = tuple[tuple[CurvePoint, ...], tuple[CurvePoint, ...], tuple[CurvePoint, ...]]
+"""Of no drop, half of max_drop and max_drop: a point for each kind of policy (`curve.KINDS`)."""
+
 _FEW = 400
 """Simulated gates where a report waits for them: the standard error is at most 2.5 %."""
 
@@ -91,18 +95,23 @@ class Outset:
         """Return after how many trials policies of this drop are judged, with all starts run."""
         return progress_at(self.seen, self.rules, drop, starts=self._drawn, against=self.against)
 
-    def power_forecast(self) -> tuple[CurvePoint, CurvePoint, CurvePoint]:
+    def power_forecast(self) -> Forecast:
         """Return three points of the curve, fast: no drop, half of max_drop, and max_drop."""
         worst = self.rules.margins.max_drop
-        same, half, worse = operating_curve(
-            self.seen,
-            self.rules,
-            budget=self.budget,
-            starts=self._drawn,
-            drops=(0.0, worst / 2, worst),
-            repetitions=self._few,
-            against=self.against,
-        )
+        of_kinds = [
+            operating_curve(
+                self.seen,
+                self.rules,
+                budget=self.budget,
+                starts=self._drawn,
+                drops=(0.0, worst / 2, worst),
+                repetitions=self._few,
+                against=self.against,
+                kind=kind,
+            )
+            for kind in KINDS
+        ]
+        same, half, worse = zip(*of_kinds, strict=True)
         return same, half, worse
 
     @property
@@ -160,12 +169,22 @@ def outset_of_rows(rows: Iterable[Row], gate: Gate, starts: int) -> Outset:
     return _outset(groups, gate, starts, known=False)
 
 
-def in_a_sentence(points: tuple[CurvePoint, CurvePoint, CurvePoint]) -> str:
-    """Return the points of `Outset.power_forecast` in words: the power of the gate."""
-    same, half, worse = points
+def in_a_sentence(found: Forecast, budget: int) -> str:
+    """Return what `Outset.power_forecast` found in words: the power of the gate, as ranges.
+
+    Args:
+        found: of policies that fail in one way each.
+        budget: most trials of scenes that count.
+    """
+    same, half, worse = found
+    flags = [
+        f"a {p[0].drop:.2g} regression in {_shares([x.regressed for x in p])}"
+        for p in (worse, half)
+    ]
     return (
-        f"Power at this size: an equally good policy {_fate(same)}; {_worse(half)}; "
-        f"{_worse(worse)} (simulated)"
+        f"With at most {plural(budget, 'trial')}, this gate flags {flags[0]} of cases and "
+        f"{flags[1]}, and passes an equally good policy in {_shares([x.passed for x in same])} "
+        "(simulated)"
     )
 
 
@@ -222,15 +241,10 @@ def _counts(trials: Sequence[Start] | Sequence[Row]) -> SceneCounts:
     return SceneCounts.of(reached, [waypoints for _, waypoints in counted])
 
 
-def _worse(point: CurvePoint) -> str:
-    return f"one that is {point.drop:.2g} worse {_fate(point)}"
-
-
-def _fate(point: CurvePoint) -> str:
-    return (
-        f"passes in {percent(point.passed)}, regresses in {percent(point.regressed)}, "
-        f"undecided in {percent(point.undecided)}"
-    )
+def _shares(shares: Sequence[float]) -> str:
+    """Return the range of simulated shares, such as `88 to 96 %`, or one where all are alike."""
+    low, high = percent(min(shares)), percent(max(shares))
+    return high if low == high else f"{low.removesuffix(' %')} to {high}"
 
 
 def trials_to_pass_baseline(

@@ -182,7 +182,7 @@ def _finding(
         reasons.append(reason)
     elif asked.max_drop is not None:
         reasons.append(
-            f"{spec.name}: max_drop {asked.max_drop:g} was not judged, there is no baseline"
+            f"{spec.name}: max_drop {asked.max_drop:g} was ignored, there is no baseline"
         )
     word = max(words, key=_ORDER.index) if words else None
     return replace(found, word=word, reasons=tuple(reasons))
@@ -245,6 +245,13 @@ def _below_alone(
     return found
 
 
+def _between(low: float, high: float) -> str:
+    """Return the changes for the worse that are possible."""
+    if low <= 0.0:
+        return f"at most {max(high, 0.0):.4g} worse"
+    return f"{low:.4g} to {high:.4g} worse"
+
+
 def _fallen_alone(
     spec: ScoreSpec,
     max_drop: float,
@@ -298,7 +305,7 @@ def _by_baseline(
         why = f"{lacks_score(setup.bank, name)}: save it again with "
         return "INVALID", f"{why}`{renewing(setup.run, setup.bank)}`", found
     if setup.basis == "same":
-        return "PASS", f"{name}: the same policy as the baseline, nothing to test", found
+        return "PASS", f"{name}: same policy as the baseline, nothing to compare", found
     value = partial(counted, spec=spec)
     met, judged = replace(met, counted=value), setup.judged
     bank = bank_of(setup.panel, judged, setup.basis, setup.claim, value)
@@ -352,7 +359,7 @@ def _by_baseline(
         return "REGRESSED", f"{change}: at least {low:.4g} worse ({sure} confidence)", found
     return (
         "INCONCLUSIVE",
-        f"{change}: undecided, the data fit {low:.4g} to {high:.4g} worse",
+        f"{change}: too few trials to decide, {_between(low, high)}",
         found,
     )
 

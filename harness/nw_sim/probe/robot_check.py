@@ -410,7 +410,8 @@ def _notes(
         notes.append(f"feet that do not touch the ground: {', '.join(idle)}; see `pose` and `feet`")
     if carriers:
         notes.append(
-            f"no feet, but they carry it: {', '.join(carriers)}; see `pose`, `feet`, and the gains"
+            f"these bear weight but are not listed as feet: {', '.join(carriers)}; see `pose`, "
+            "`feet`, and the gains"
         )
     sagged = [
         f"{name} by {abs(at - target):.2f} rad"

@@ -160,11 +160,11 @@ def test_trials_are_those_of_a_plain_run_in_a_drawn_order_and_end_with_the_one_t
     assert judged.verdict.verdict == "PASS"
     found = judged.verdict.against
     assert (found.basis, found.claim, found.trials, found.budget) == ("panel", "fresh", count, 8)
-    assert f"decided after {count} trials: {8 - count} of 8 trials need not run" in ears.lines
+    assert f"decided after {count} of 8 trials; the rest were skipped" in ears.lines
     assert api.report("run").verdict == judged.verdict
     page = Path("run/report.md").read_text()
     assert f"{count} of at most 8 were judged" in page
-    assert "it is known" not in page, "a part of the panel was drawn"
+    assert "is exactly" not in page, "a part of the panel was drawn"
     assert len(api.read_rows("run")) == count
 
 
@@ -252,10 +252,12 @@ def test_a_run_that_was_killed_goes_on_elsewhere_without_the_bank_and_ends_with_
 def test_the_policy_of_the_bank_runs_one_start_of_each_scene_and_the_rest_is_taken_over(capsys):
     assert ends("run", "quick.yaml", "--baseline", "shipped", "--out", "same") == 0
     out, err = capsys.readouterr()
-    assert "go1-parkour is the policy of baseline shipped: 1 start of each scene run again" in err
+    assert "policy of baseline shipped: 1 initial state of each scene re-run" in " ".join(
+        err.split()
+    )
     judged = api.report("same")
-    over = "taken over from the baseline, 2 run again and equal"
-    assert f"PASS · baseline shipped is the same policy · {over}" in " ".join(out.split())
+    over = "2 trials re-run and identical"
+    assert f"PASS · same policy as baseline shipped: {over}" in " ".join(out.split())
     assert sorted(row.scene for row in judged.rows) == [
         "hurdles/one_low_carpet",
         "hurdles/two_logs_park",
@@ -273,7 +275,7 @@ def test_the_policy_of_the_bank_runs_one_start_of_each_scene_and_the_rest_is_tak
 
     three = api.run("quick.yaml", baseline="shipped", recheck=3, in_process=True, out=Path("three"))
     assert len(three.rows) == 6
-    assert "6 run again and equal" in headline(three.verdict, three.info)
+    assert "6 trials re-run and identical" in headline(three.verdict, three.info)
     with pytest.raises(UsageError, match="--recheck 0: give at least 1"):
         api.run("quick.yaml", baseline="shipped", recheck=0)
     with pytest.raises(
@@ -379,11 +381,11 @@ def test_the_policy_of_the_bank_drives_all_the_same_where_all_rounds_are_wanted(
         ends("run", "quick.yaml", "--baseline", "shipped", "-n", "1", "--all-rounds", "--out", "d")
         == 0
     )
-    assert "taken over" not in capsys.readouterr().out
+    assert "come from the baseline" not in capsys.readouterr().out
     judged = api.report("d")
     assert (len(judged.rows), judged.info.stop) == (2, None)
     assert judged.verdict.against.basis == "same"
-    assert "2 run again and equal" in headline(judged.verdict, judged.info)
+    assert "2 trials re-run and identical" in headline(judged.verdict, judged.info)
     known = {row.seed: row.state_digest for row in api.report("whole").rows}
     assert all(known[row.seed] == row.state_digest for row in judged.rows)
     assert judged.verdict.verdict == "PASS"
@@ -399,7 +401,7 @@ def test_what_runs_again_runs_though_the_cache_of_trials_has_its_results(tmp_pat
     ran = [row.scene for row in every.rows if not row.cached]
     assert len(every.rows) == 8
     assert min(ran.count(scene) for scene in set(ran)) >= 2, "the cache may draw one more"
-    words = f"8 compared and equal, {len(ran)} of them run again"
+    words = f"re-run and identical, {8 - len(ran)} reused from the cache and identical"
     assert words in headline(every.verdict, every.info)
 
 
@@ -412,7 +414,7 @@ def test_without_a_bank_the_first_line_says_what_is_not_judged(monkeypatch):
     monkeypatch.setattr(Attempts, "run", stop)
     with pytest.raises(KeyboardInterrupt):
         against(ears=ears, baseline=None)
-    assert "max_drop 0.5 was not judged: no baseline is named for ./soft" in ears.lines[0]
+    assert "max_drop 0.5 was ignored: ./soft has no baseline in this suite" in ears.lines[0]
     assert "`nw-eval baseline save quick.yaml --policy ./soft`" in ears.lines[0]
     assert any(line.startswith("run folder: ") for line in ears.lines[1:])
     named_bank = SUITE.replace("  {success_rate", "  {baseline: shipped, success_rate")
@@ -423,7 +425,7 @@ def test_without_a_bank_the_first_line_says_what_is_not_judged(monkeypatch):
     named = api.plan("quick.yaml", policy="./soft")
     assert (named.against.info.name, named.suite.trials, named.drawn_from) == ("shipped", 4, 4)
     page = forecast_page(api.check("quick.yaml", policy="./soft"))
-    assert "60 % sure; less than 0.5 below baseline shipped" in page
+    assert "(60 % confidence); less than 0.5 below baseline shipped" in page
     assert "2 scenes; at most so many, until the verdict is settled" in page
     nothing = api.plan("quick.yaml", policy="./soft", baseline="none")
     assert (nothing.against, nothing.drawn_from) == (None, None)
@@ -501,7 +503,10 @@ def test_where_bits_are_others_the_bank_s_policy_runs_beside_the_candidate_from_
     forged(other_ways)
     ears = Ears()
     judged = against(ears=ears)
-    assert any("bits are others here than in baseline shipped" in line for line in ears.lines)
+    assert any(
+        "slightly different results from the one that saved baseline shipped" in line
+        for line in ears.lines
+    )
     found = judged.verdict.against
     assert (judged.info.baseline.checked, found.basis, found.claim) == (
         "control",
@@ -520,7 +525,7 @@ def test_where_bits_are_others_the_bank_s_policy_runs_beside_the_candidate_from_
     pairs = own.set_index("trial_id").success - mine.set_index("trial_id").success
     assert found.drop == pytest.approx(pairs.mean())
     page = Path("run/report.md").read_text()
-    assert "its policy go1-parkour ran beside the candidate from the same starts" in page
+    assert "of go1-parkour that ran here from the same initial states" in page
     assert api.report("run").verdict == judged.verdict
     assert api.judge("run").verdict.against == found
     assert api.verify("run").exit_code == 0
@@ -633,7 +638,7 @@ def test_on_a_class_of_machine_that_the_bank_has_not_seen_its_own_policy_runs_an
     assert not Path("run/baseline").exists(), "its own trials show what the bank is here"
     if not same_bits:
         told = headline(judged.verdict, judged.info)
-        assert "baseline shipped (the same policy, other bits here) " in told
+        assert "same policy as baseline shipped, but this machine or version computes" in told
         assert "judged against the baseline's results" in " ".join(judged.verdict.reasons)
 
 
@@ -759,7 +764,7 @@ def test_parts_of_the_baselines_own_policy_run_and_are_compared_with_it_once_the
     assert [(part.verdict.verdict, len(part.rows)) for part in parts] == [("RAN", 2), ("RAN", 2)]
     merged = api.merge(["part-1", "part-2"], out="merged")
     assert (merged.verdict.verdict, len(merged.rows)) == ("PASS", 4)
-    assert "4 run again and equal" in headline(merged.verdict, merged.info)
+    assert "4 trials re-run and identical" in headline(merged.verdict, merged.info)
 
 
 def test_a_part_sees_for_itself_what_the_bank_is_on_its_machine():

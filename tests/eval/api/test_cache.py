@@ -64,9 +64,9 @@ def test_a_run_of_more_trials_runs_those_and_one_of_the_others(filled, place):
     assert len(ran) == 3
     known = [row for row in more.rows if row.seed_index < 3]
     assert rows_digest(known) == rows_digest(filled.rows)
-    words = "2 of 5 results are from earlier runs, by the cache of trials; 1 more ran again"
+    words = "Cache: 2 of 5 results reused. 1 trial was re-run as a check"
     assert more.verdict.verdict == "RAN"
-    assert f"{words} to be compared, and came to the same bits." in " ".join(summary(more).split())
+    assert f"{words} and matched." in " ".join(summary(more).split())
     for page in (more.page, more.html):
         assert "2 of 5 results are from earlier runs" in page.read_text()
     for row in more.rows:

@@ -200,7 +200,7 @@ def test_a_first_run_of_an_own_policy_is_judged_by_the_bar_and_says_how_to_save_
         "hurdles-state", policy="stand", in_process=True, out=tmp_path / "first", **options
     )
     told = (
-        "max_drop 0.1 was not judged: no baseline is named for stand (go1-parkour is for the "
+        "max_drop 0.1 was ignored: stand has no baseline in this suite (go1-parkour is for the "
         "suite's own policy); `nw-eval baseline save hurdles-state --policy stand` saves one, "
         "--baseline names it"
     )

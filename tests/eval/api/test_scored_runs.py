@@ -69,7 +69,7 @@ def test_a_drop_of_a_score_that_no_baseline_is_there_for_is_said_not_to_be_judge
         SUITE.partition("gate:")[0] + "gate: {scores: {mean_power: {max_drop: 100}}}\n"
     )
     report = api.run("scored.yaml", out=folder / "run", workers=1)
-    said = "mean_power: max_drop 100 was not judged, there is no baseline"
+    said = "mean_power: max_drop 100 was ignored, there is no baseline"
     assert said in report.verdict.reasons
     assert said in (folder / "run" / "report.md").read_text()
 

@@ -267,10 +267,10 @@ def test_a_run_that_was_stopped_early_stands_there_without_a_rank(tmp_path):
     assert by_name[0][1] == "0.000"
     assert "stopped early" in by_name[0]
     assert page.rows[1][0] == "good"
-    assert "stopped after 2 of at most 36 trials" in by_name[1]
+    assert "decided after 2 of 36 trials; the rest were skipped" in by_name[1]
     alone = nw_eval.write_site([early], tmp_path / "alone")
     assert (alone.runs, alone.left_out) == (1, ())
-    assert "stopped after 2 of at most 36 trials" in alone.page.read_text()
+    assert "decided after 2 of 36 trials; the rest were skipped" in alone.page.read_text()
 
 
 def drawn_in(first, others):

@@ -48,10 +48,10 @@ def test_a_run_on_github_folds_its_progress_and_its_tables_and_writes_the_steps_
     assert said.err.rstrip().endswith("::endgroup::")
     tables, _, rest = said.out.partition("::endgroup::\n")
     assert tables.startswith("::group::Tables\nSuccess by scene")
-    assert rest.startswith("INCONCLUSIVE · success 0.000")
+    assert rest.startswith("INCONCLUSIVE · completed 0 of 1 trial in 1 scene")
     errors = [line for line in rest.splitlines() if line.startswith("::")]
     assert errors == [line for line in errors if line.startswith("::error file=suites/tiny.yaml,")]
-    assert ",line=11,title=INCONCLUSIVE%3A tiny::INCONCLUSIVE · success" in errors[0]
+    assert ",line=11,title=INCONCLUSIVE%3A tiny::INCONCLUSIVE · completed" in errors[0]
     assert outputs(step) == {
         "verdict": "INCONCLUSIVE",
         "exit-code": "3",
@@ -62,7 +62,7 @@ def test_a_run_on_github_folds_its_progress_and_its_tables_and_writes_the_steps_
     }
     assert code == 3
     assert (
-        (step / "summary").read_text().startswith("# INCONCLUSIVE: tiny, stand\n\nINCONCLUSIVE · s")
+        (step / "summary").read_text().startswith("# INCONCLUSIVE: tiny, stand\n\nINCONCLUSIVE · c")
     )
 
 

@@ -296,7 +296,7 @@ def test_places_that_are_followed_run_and_those_between_them_do_not(go):
 def test_a_run_that_is_decided_and_one_that_has_no_trial_left_of_a_scene_say_so(go):
     decided, stuck = Ears(), Ears()
     go(Office(), Until(2), workers=1, ears=decided)
-    assert decided.told == ["decided after 6 trials: 6 of 12 trials need not run"]
+    assert decided.told == ["decided after 6 of 12 trials; the rest were skipped"]
     rule = Until(2, followed=(8, 11), waits_for=("flat/a",))
     go(Office(), rule, workers=1, ears=stuck, name="stuck")
     (told,) = stuck.told

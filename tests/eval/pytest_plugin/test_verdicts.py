@@ -57,7 +57,7 @@ def test_a_policy_that_fails_is_told_as_verdict_table_and_replay_command(suite, 
         [
             "*_ tiny.yaml: flat/carpet_room _*",
             "flat/carpet_room: below the bar 0.9 by itself; success 0.000, completed 0 of 4 trials",
-            "REGRESSED * success 0.000 * completed 0 of 8 trials in 2 scenes *",
+            "REGRESSED * completed 0 of 8 trials in 2 scenes * success 0.000 *",
             "* success is at most *, the bar is 0.9",
             "Success by scene",
             f" {FLAT} *",
@@ -291,7 +291,7 @@ def test_a_bank_is_saved_for_a_review_and_passes_once_it_is_there(
 
     same = run("tiny.yaml", "--nw-baseline", "stand")
     same.assert_outcomes(passed=2)
-    same.stdout.fnmatch_lines(["tiny.yaml: PASS * baseline stand is the same policy *"])
+    same.stdout.fnmatch_lines(["tiny.yaml: PASS * same policy as baseline stand*"])
     (judged,) = [api.report(folder) for folder in folders() if (folder / "bank").exists()]
     assert len(judged.rows) == 1, "one start of its only scene ran again"
 

@@ -61,9 +61,9 @@ def regressed():
         max_drop=0.1, tolerate=0.02, scene_drop=0.1, alpha_pass=0.05, alpha_regr=0.01,
         scenes=(fell,), reasons=("worse than the baseline shipped",),
         curve=(
-            CurvePoint(drop=0.0, passed=0.995, regressed=0.0, trials=64.0),
-            CurvePoint(drop=0.05, passed=0.64, regressed=0.36, trials=128.0),
-            CurvePoint(drop=0.1, passed=0.04, regressed=0.9, trials=96.0),
+            (CurvePoint(drop=0.0, passed=0.995, regressed=0.0, trials=64.0),),
+            (CurvePoint(drop=0.05, passed=0.64, regressed=0.36, trials=128.0),),
+            (CurvePoint(drop=0.1, passed=0.04, regressed=0.9, trials=96.0),),
         ),
     )  # fmt: skip
 

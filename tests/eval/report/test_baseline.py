@@ -68,38 +68,39 @@ def table(text):
 def test_the_first_lines_say_what_fell_by_how_much_and_what_the_gate_can_see(page, found):
     first, _, second, *_ = page(found).splitlines()
     assert first.startswith(
-        "# REGRESSED \u00b7 baseline shipped 0.925, drop 0.250 (99 % lower bound 0.120, 95 % "
-        "upper bound 0.410) in 80 of 320 trials \u00b7 success 1.000"
+        "# REGRESSED by the baseline comparison, critical scene hurdles/three_low \u00b7 "
+        "completed 3 of 3 trials in 1 scene \u00b7 success 1.000 (no bar), drop 0.250 (max_drop "
+        "0.1) in the 80 trials compared \u00b7 "
     )
     assert second.endswith(
-        "in this seed set (seed 7) it is known: 1.000. Power at this size: an "
-        "equally good policy passes in \\> 99 %, regresses in \\< 1 %, undecided in \\< 1 %; one "
-        "that is 0.05 worse passes in 64 %, regresses in 36 %, undecided in \\< 1 %; one that is "
-        "0.1 worse passes in 4 %, regresses in 90 %, undecided in 6 % (simulated)."
+        "On this seed set (seed 7) success is exactly 1.000. With at most 320 trials, this gate "
+        "flags a 0.1 regression in 90 % of cases and a 0.05 regression in 36 %, and passes an "
+        "equally good policy in \\> 99 % (simulated)."
     )
 
 
 def test_scenes_are_shown_side_by_side_what_fell_first_and_what_does_not_count_last(page, found):
     text = page(found)
     assert table(text) == [
-        ["scene", "tier", "trials", "success", "baseline", "change", "regressed"],
-        ["hurdles/three_low", "critical", "5", "0.400", "0.950", "-0.550", "yes, from waypoint 2"],
-        ["a friction 0.6", "supporting", "5", "0.950", "0.900", "+0.050", ""],
-        ["toy", "informational", "5", "0.000", "0.500", "-0.500", ""],
+        ["scene", "tier", "trials", "success", "baseline", "change", "regressed", "worse from"],
+        ["hurdles/three_low", "critical", "5", "0.400", "0.950", "-0.550", "yes", "waypoint 2"],
+        ["a friction 0.6", "supporting", "5", "0.950", "0.900", "+0.050", "", ""],
+        ["toy", "informational", "5", "0.000", "0.500", "-0.500", "", ""],
     ]  # fmt: skip
     # Two scenes count: each shares half of 1 %.
-    assert "200 is reported as regressed (2 scenes share an error of 1 %)" in text
-    assert "4 holds PASS back." in text
+    said = "At 200 or more the scene is reported as regressed (2 scenes share an error of 1 %)."
+    assert said in text
+    assert "At 4 or more, PASS is withheld." in text
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({}, "new starts in these scenes: scenes and starts were drawn at random from the"),
-        ({"claim": "panel", "starts": 40}, "the claim is of these starts only"),
-        ({"basis": "control"}, "its policy ran beside the candidate, from the same starts"),
-        ({"basis": "fresh"}, "the candidate met new starts, and the baseline's mean is of 60"),
-        ({}, "it need not be the baseline's mean less the drop"),
+        ({}, "new initial states in these scenes: scenes and states were drawn at random from"),
+        ({"claim": "panel", "starts": 40}, "the claim is of these only"),
+        ({"basis": "control"}, "its policy ran beside the candidate, from the same initial states"),
+        ({"basis": "fresh"}, "the candidate met new ones, and the baseline's mean is of 60"),
+        ({}, "of the scenes that these trials met, some of them easy and some hard by chance"),
     ],
 )  # fmt: skip
 def test_every_report_says_of_which_starts_it_speaks(page, changes, words, found):
@@ -115,9 +116,9 @@ def test_every_report_says_of_which_starts_it_speaks(page, changes, words, found
 def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page, found):
     pinned, fresh = page(found), page(found, panel="fresh")
     assert "The seed set is pinned, the suite's own." in pinned
-    assert "--seed-set fresh draws the checkpoint's own" in pinned
+    assert "confirm it with --seed-set fresh" in pinned
     assert "The seed set is fresh: it follows from what the checkpoint computes" in fresh
-    assert "in this fresh seed set (seed 7) it is known" in fresh
+    assert "On this fresh seed set (seed 7) success is exactly" in fresh
     assert "same starts), fresh |" in " ".join(fresh.split())
 
 
@@ -128,14 +129,17 @@ def test_the_page_of_the_same_policy_says_what_was_taken_over_and_what_ran_again
         again=again, reasons=("the same policy",),
     )  # fmt: skip
     text = page(same)
-    over = "taken over from the baseline, 2 run again and equal"
-    assert text.startswith(f"# PASS \u00b7 baseline shipped is the same policy \u00b7 {over}")
-    assert "Results that did not run again are what the baseline's file says." in text
+    over = "same policy as baseline shipped: 2 trials re-run and identical"
+    assert text.startswith(f"# PASS \u00b7 {over} \u00b7 completed ")
+    assert "Results that were not re-run are those of the baseline's file." in text
+    # All results are the baseline's: nothing changed, and how trials ended is of those that ran.
+    assert not {"baseline", "change"} & {*table(text)[0]}
+    assert "Of the 3 trials of this run; the other results are the baseline's." in text
     assert "A drop of 0.1 or more" not in text
     other = replace(same, again=replace(again, equal=False, taken_over=False))
     text = page(other)
-    assert "2 run again with different results, so none is taken from the baseline" in text
-    assert "Results that did not run again" not in text
+    assert "baseline, so no result is reused (2 trials re-run)" in text
+    assert "Results that were not re-run" not in text
 
 
 def test_a_policy_that_failed_by_itself_counts_as_nothing_and_the_page_says_so(
@@ -187,7 +191,7 @@ def test_a_scene_that_met_no_trial_beside_a_control_shows_no_baseline(page, foun
     unmet = replace(TOY, scene="unmet", tier="supporting", **none)
     text = page(replace(found, basis="control", scenes=(fell, unmet)))
     line = next(line for line in table(text) if line[0] == "unmet")
-    assert line == ["unmet", "supporting", "0", "none", "", "none", "", ""]
+    assert line == ["unmet", "supporting", "0", "none", "", "none", "", "", ""]
 
 
 def test_a_worst_trial_says_what_the_baseline_s_policy_did_from_the_same_start(make_row):

@@ -27,7 +27,7 @@ def test_the_summary_ends_with_the_reports_first_lines(make_row, make_run):
     lines = summary(rows, run, width=200)
     verdict = judge(rows, Gate(success_rate=0.75), run.planned)
     assert lines[-3] == headline(verdict, run)
-    assert lines[-2].startswith("The bounds of success are for new starts in these scenes")
+    assert lines[-2].startswith("The bounds apply to new initial states in these scenes.")
     assert lines[-1].startswith("* success is at least")
 
 
@@ -56,7 +56,8 @@ def test_brackets_in_an_error_are_text_not_markup(make_row, make_run):
 def test_a_suite_without_a_bar_ends_with_the_word_ran_and_never_with_pass(make_row, make_run):
     rows = [make_row("a", k, 0) for k in range(4)]
     lines = summary(rows, make_run({"a": 4}), 200, Gate())
-    assert lines[-3].startswith("RAN · success 0.000 (95 % bounds 0.000 and 0.")
+    first = "RAN · completed 0 of 4 trials in 1 scene · success 0.000 (not judged) "
+    assert lines[-3].startswith(first)
     assert lines[-1] == "* 4 trials ran and nothing was judged: the suite sets no gate.success_rate"
     assert not any("PASS" in line for line in lines)
 

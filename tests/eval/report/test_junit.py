@@ -75,7 +75,9 @@ def test_a_failure_has_one_sentence_and_the_commands_that_show_it(make_run, regr
         f"nw-eval replay reports/r/mcap/gaps/wide/gaps-wide-{k:03d}.mcap" for k in (0, 2, 4)
     ]
     (whole,) = cases(suite)["nw.hurdles verdict"].iter("failure")
-    assert whole.get("message", "").startswith("REGRESSED · success 0.562")
+    assert whole.get("message", "").startswith(
+        "REGRESSED by the bar · completed 20 of 40 trials in 2 scenes · "
+    )
     assert properties(cases(suite)["nw.hurdles.gaps/wide hurdles"])["mcap"].endswith("-000.mcap")
     assert properties(suite)["verdict"] == "REGRESSED"
     assert properties(suite)["exit_code"] == "1"

@@ -39,11 +39,13 @@ def test_the_first_line_is_the_verdict_and_the_second_what_it_speaks_of(make_row
     rows = [make_row(scene, k, 4 - (k == 0)) for scene in ("a", "b") for k in range(20)]
     text = render(rows, {"a": 20, "b": 20}, suite={"seed": 7})
     first, _, second = text.splitlines()[:3]
-    assert first.startswith("# PASS · success 0.988 (95 % bounds 0.8")
-    assert first.endswith("bar 0.75) · completed 38 of 40 trials in 2 scenes · 60 s on 2 workers")
+    assert first.startswith(
+        "# PASS · completed 38 of 40 trials in 2 scenes · success 0.988 (bar 0.75)"
+    )
+    assert first.endswith(" · success 0.988 (bar 0.75) · 60 s on 2 workers")
     assert second == (
-        "The bounds of success are for new starts in these scenes; in this seed set "
-        "(seed 7) it is known: 0.988."
+        "The bounds apply to new initial states in these scenes. On this seed set (seed 7) success "
+        "is exactly 0.988."
     )
 
 
@@ -51,9 +53,9 @@ def test_a_score_of_zero_claims_no_sight_of_drops(make_row, render):
     rows = [make_row("a", k, 0) for k in range(40)]
     for gate, word in ((BAR, "REGRESSED"), (Gate(), "RAN")):
         first, _, second = render(rows, {"a": 40}, gate).splitlines()[:3]
-        assert first.startswith(f"# {word} · success 0.000 (")
+        assert first.startswith(f"# {word}")
         assert "completed 0 of 40 trials" in first
-        assert second.startswith("The bounds of success are for new starts in these scenes")
+        assert "new initial states in these scenes" in second
         assert "worse" not in second
         assert "drops" not in second
 
@@ -61,8 +63,10 @@ def test_a_score_of_zero_claims_no_sight_of_drops(make_row, render):
 def test_what_completed_is_told_of_the_trials_that_count(make_row, render):
     rows = [make_row("a", k, 4) for k in range(3)] + [make_row("toy", k, 0) for k in range(2)]
     toy = Gate(success_rate=0.75, tiers={"toy": "informational"})
-    assert "completed 3 of 3 · 5 trials in 2 scenes" in render(rows, {"a": 3, "toy": 2}, toy)
-    assert "completed 3 of 3 · 3 of 9 trials in 1 scene" in render(rows[:3], {"a": 9})
+    assert "completed 3 of 3 counted trials; 5 ran in 2 scenes" in render(
+        rows, {"a": 3, "toy": 2}, toy
+    )
+    assert "completed 3 of 3 counted trials; 3 of 9 ran in 1 scene" in render(rows[:3], {"a": 9})
     # Where some are missing, the seed set's success is not known.
     assert "seed set" not in render(rows[:3], {"a": 9}).splitlines()[2]
 
@@ -71,8 +75,8 @@ def test_how_sure_one_may_be_is_told_as_far_as_it_applies(make_row, render):
     rows = [make_row(scene, k, 4) for scene in ("a", "b") for k in range(20)]
     planned = {"a": 20, "b": 20}
     plain = render(rows, planned).split("## How sure")[1]
-    assert "new starts in these scenes" in plain
-    assert "picks luck too: --seed-set fresh draws the checkpoint's own" in plain
+    assert "new initial states in these scenes" in plain
+    assert "Picking the best of many checkpoints favours luck" in plain
     for absent in ("critical", "neverwhere", "worse"):
         assert absent not in plain
     critical = Gate(success_rate=0.75, tiers={"*": "critical"})
@@ -305,7 +309,7 @@ def test_an_interrupted_run_says_so(make_row, render):
 
 def test_a_run_that_was_killed_does_not_pretend_to_a_cost(make_row, render):
     text = render([make_row("a", k, 4) for k in range(3)], {"a": 9}, finished=None, wall_s=0.0)
-    assert text.splitlines()[0].endswith("3 of 9 trials in 1 scene · not finished on 2 workers")
+    assert text.splitlines()[0].endswith(" · not finished on 2 workers")
     # Three trials of 2 s on two workers take 3 s at least.
     assert "60.0 trials per minute" in text
 

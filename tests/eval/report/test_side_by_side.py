@@ -16,9 +16,9 @@ from nw_gate.side_by_side import (
     PolicyComparison,
     SceneParting,
 )
-from nw_gate.stats.betting import Ranks
 from nw_gate.stats.hazard import differences
 from nw_gate.stats.interval import Estimate, Interval
+from nw_gate.stats.ranks import Ranks
 
 
 def policy(label, mean, best, worst):

@@ -31,10 +31,7 @@ def run(make_run):
     return info.model_copy(update={"wall_s": 30.0, "workers": 1, "cache": CacheInfo(reexecuted=1)})
 
 
-SENTENCE = (
-    "15 of 20 results are from earlier runs, by the cache of trials; 1 more ran again "
-    "to be compared, and came to the same bits."
-)
+SENTENCE = "Cache: 15 of 20 results reused. 1 trial was re-run as a check and matched."
 
 
 def test_every_surface_says_how_many_results_were_taken_over(rows, run):
@@ -70,7 +67,7 @@ def test_a_result_that_differed_makes_every_verdict_one_of_infrastructure(rows, 
     verdict = judge_run(rows, doubted, BAR, None)
     assert (verdict.verdict, verdict.exit_code) == ("INFRASTRUCTURE", 4)
     assert verdict.reasons[0] == "trial x came out otherwise"
-    said = "; 2 more ran again to be compared, and 1 of them came to other bits."
+    said = " 2 trials were re-run as a check and 1 differed."
     assert taken_over(doubted, rows).endswith(said)
 
 

@@ -130,9 +130,10 @@ def test_a_baseline_is_taken_over_where_one_start_of_every_scene_ran_again_and_i
     bank = in_bits(rows, make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
     verdict = judged_by(bank, rows, run, gate)
     assert (verdict.verdict, verdict.n) == ("PASS", 120)
-    over = "taken over from the baseline, 2 run again and equal"
-    assert f"baseline shipped is the same policy · {over} · success 1.000" in headline(verdict, run)
-    assert over in verdict.reasons[0]
+    over = "same policy as baseline shipped: 2 trials re-run and identical"
+    whole = f"PASS · {over} · completed 120 of 120 trials in 2 scenes · success 1.000 "
+    assert headline(verdict, run).startswith(whole)
+    assert verdict.reasons[0] == f"{over}; the other results come from the baseline"
     # A row of the cache has not run, and a scene of which no start ran says nothing.
     cached = [rows[0], replace(rows[1], cached=True)]
     for short in (rows[:1], cached):
@@ -162,7 +163,7 @@ def test_a_start_that_ran_again_otherwise_than_the_baseline_says_is_invalid_and_
     name, value = next(iter(change.items()))
     assert f"the baseline's {value}" in verdict.reasons[1]
     assert {"trajectory": "bits"}.get(name, name) in verdict.reasons[1]
-    assert "baseline shipped is not what its own policy does" in headline(verdict, run)
+    assert "baseline shipped, but its results differ from the baseline's" in headline(verdict, run)
 
 
 def test_where_bits_are_others_the_baseline_s_own_policy_is_compared_with_it_like_any_other(
@@ -185,13 +186,14 @@ def test_where_bits_are_others_the_baseline_s_own_policy_is_compared_with_it_lik
     assert found.again is not None
     assert (found.is_own, found.basis, found.again.taken_over) == (True, "panel", False)
     assert found.trials % 2 == 0, "whole rounds alone are looked at"
-    assert "other bits on this machine or version (40 run again" in " ".join(verdict.reasons)
-    assert "baseline shipped (the same policy, other bits here) 0.917" in headline(verdict, run)
+    assert "computes different results (40 trials re-run)" in " ".join(verdict.reasons)
+    said = "same policy as baseline shipped, but this machine or version computes different results"
+    assert said in headline(verdict, run)
     # What would be REGRESSED says something of the machine, and nothing of the policy.
     low = judged([0.5] * 20, Gate(success_rate=0.1))
     assert (low.verdict, low.exit_code) == ("INVALID", 5)
     assert low.reasons[0].startswith(
-        "this machine or version scores 0.417 less than the baseline shipped says, between 0.043 "
+        "this machine or version scores 0.417 less than baseline shipped, 0.043 "
     )
     few = judged([1.0] * 2, Gate())
     assert (few.verdict, few.exit_code) == ("INCONCLUSIVE", 3), "nothing passes for want of trials"
@@ -349,7 +351,7 @@ def test_what_was_found_out_of_a_bank_on_this_machine_is_of_that_bank_alone(
     assert found is not None
     assert (found.basis, found.word) == ("control", "PASS")
     assert found.curve is not None
-    assert [point.drop for point in found.curve] == [0.0, 0.15, 0.3]
+    assert [points[0].drop for points in found.curve] == [0.0, 0.15, 0.3]
     other = replace(same_file, info=begun.model_copy(update={"sha256": "5b" * 32}))
     with pytest.raises(IncomparableError, match=r"cpu haswell, the baseline's zen 4"):
         judge_run(rows, run, Gate(max_drop=0.3), other)

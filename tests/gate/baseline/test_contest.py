@@ -282,7 +282,7 @@ def test_a_scene_that_holds_back_a_pass_and_has_no_more_trials_leaves_it_open_an
     assert (verdict.verdict, verdict.exit_code) == ("INCONCLUSIVE", 3)
     assert now.waits_for == (one,)
     place = verdict.reasons.index(
-        f"the mean passes; PASS is held back by {one}: it may have regressed"
+        f"PASS is withheld: the mean passes, but {one} may have regressed"
     )
     assert verdict.reasons[place + 1] == "this run has no trial of it left"
     assert "more --trials" in verdict.reasons[place + 2]
@@ -342,6 +342,6 @@ def test_workers_that_run_ahead_end_with_the_same_trials_and_verdict(course, see
     verdict = judge_run(rows, run, met.gate, met.against)
     if run.stop is not None:
         # It may be left open that a scene which holds back a PASS has no more trials.
-        is_held = any("PASS is held back by" in text for text in verdict.reasons)
+        is_held = any("PASS is withheld" in text for text in verdict.reasons)
         assert verdict.verdict in ({"INCONCLUSIVE"} if is_held else {"PASS", "REGRESSED"})
         assert judge_run(rows[::-1], run, met.gate, met.against) == verdict

@@ -99,9 +99,9 @@ def test_a_scene_that_met_no_trial_has_no_score_of_the_control_and_means_are_of_
 def test_what_was_compared_with_what_is_said(run, beside, drawn_rows):
     found = compare(drawn_rows(run, PERFECT), run, beside(PERFECT), GATE)
     assert found.reasons[-1] == (
-        "this machine or version gives other bits than the baseline's: its policy go1-act-rgb ran "
-        "beside the candidate from the same starts (80 trials), and is what it is compared with; a "
-        "baseline saved here saves these trials"
+        "this machine computes slightly different results from the one that saved the baseline, so "
+        "the candidate is compared with 80 trials of go1-act-rgb that ran here from the same "
+        "initial states; `nw-eval baseline save` on this machine saves that time"
     )
     assert (
         "80 trials that ran beside the candidate"

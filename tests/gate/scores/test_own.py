@@ -175,7 +175,7 @@ def test_check_says_what_a_gate_of_scores_alone_asks(tmp_path):
     (tmp_path / "own.yaml").write_text(json.dumps({**SUITE, "gate": gate}))
     page = forecast_page(nw_eval.check(tmp_path / "own.yaml"))
     assert "RAN" not in page
-    asked = "mean_power by its bar 150, 95 % sure; mean_power by its max_drop 60"
+    asked = "mean_power by its bar 150 (95 % confidence); mean_power by its max_drop 60"
     assert f"no bar of success (gate.success_rate); {asked}" in page
 
 

@@ -53,7 +53,7 @@ def forecast_page(forecast: Forecast) -> str:
     lines = [
         f"suite     {suite.name}  ({suite.source.file}, {suite.content_digest[:16]})",
         f"seed set  {suite.digest[:16]}: {facts}",
-        "          suites of one seed set meet the same starts in a scene",
+        "          suites with the same seed set use the same initial states",
         f"gate      {_bar(suite.gate)}{_drop(suite.gate, forecast.baseline, bundle.name)}",
         f"policy    {bundle.name}  ({bundle.card.adapter}, {bundle.origin})",
         *([f"          {SCOPE}"] if bundle.code_sha256 else []),
@@ -63,7 +63,7 @@ def forecast_page(forecast: Forecast) -> str:
         ),
         f"trials    {forecast.trials} of {duration:g} s: {count}",
         *(f"          {scene.name:<{width}}  {scene.digest[:16]}" for scene in scenes),
-        *([] if forecast.power is None else [f"power     {forecast.power.removeprefix(_POWER)}"]),
+        *_power(forecast.power),
         *(f"no PASS   {reason}" for reason in forecast.obstacles),
         *(f"warning   {sentence}" for sentence in forecast.warnings),
         f"expect    at most about {forecast.minutes:.1f} minutes with --workers {forecast.workers}",
@@ -71,20 +71,25 @@ def forecast_page(forecast: Forecast) -> str:
     return "\n".join(lines)
 
 
-_POWER = "Power at this size: "
+def _power(sentence: str | None) -> list[str]:
+    """Return what the gate can tell apart on two lines; how many trials it has is told above."""
+    if sentence is None:
+        return []
+    flags, _, passes = sentence.partition("this gate ")[2].partition(", and ")
+    return [f"power     {flags},", f"          {passes}"]
 
 
 def _bar(gate: Gate) -> str:
     """Return what a run must show to pass, in words."""
-    sure = f"{100 * gate.confidence:.4g} % sure"
+    sure = f"({100 * gate.confidence:.4g} % confidence)"
     if gate.success_rate is not None:
-        bar = f"success of at least {gate.success_rate:g}, {sure}"
+        bar = f"success at least {gate.success_rate:g} {sure}"
     elif not gate.scores:
         bar = "none (gate.success_rate): the verdict will be RAN"
     else:
         bar = "no bar of success (gate.success_rate)"
     for name, asked in gate.scores.items():
-        bar += "" if asked.bar is None else f"; {name} by its bar {asked.bar:g}, {sure}"
+        bar += "" if asked.bar is None else f"; {name} by its bar {asked.bar:g} {sure}"
         bar += "" if asked.max_drop is None else f"; {name} by its max_drop {asked.max_drop:g}"
     return bar
 

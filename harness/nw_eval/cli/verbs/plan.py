@@ -119,11 +119,11 @@ def bar_plan_page(planned: BarPlan) -> str:
         (f"{truth:.3f}", *(f"{100 * share:.0f} %" for share in shares))
         for truth, shares in planned.curve
     ]
-    sure = f"{100 * planned.confidence:.4g} % sure"
+    sure = f"{100 * planned.confidence:.4g} % confidence"
     size = f"{plural(planned.trials, 'trial')} in each of {plural(planned.scenes, 'scene')}"
     lines = [
         f"suite     {planned.suite}: {size}",
-        f"bar       success of at least {planned.bar:g}, {sure}; no baseline",
+        f"bar       success at least {planned.bar:g} ({sure}); no baseline",
         f"needed    {least} in each scene, if none of them fails (--trials {planned.needed})",
         *(f"no PASS   {reason}" for reason in planned.obstacles),
         "",

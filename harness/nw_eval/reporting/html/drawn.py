@@ -85,7 +85,7 @@ def _drop(found: Comparison) -> Gauge | None:
     return Gauge(
         title=f"Drop against {found.bank} ({percent_sure(found.alpha_regr)} lower, "
         f"{percent_sure(found.alpha_pass)} upper)",
-        sentence=f"Mean success fell by {found.drop:z.3f}, from {found.baseline:.3f}: by at least "
+        sentence=f"Mean success fell by {found.drop:z.3f}: by at least "
         f"{found.interval.low:z.3f} ({percent_sure(found.alpha_regr)}) and at most "
         f"{found.interval.high:z.3f} ({percent_sure(found.alpha_pass)}). Up to {found.tolerate:g} "
         f"is tolerated; {found.max_drop:g} must not pass.",
@@ -106,9 +106,9 @@ def _success(verdict: Verdict) -> Gauge | None:
     bar = () if verdict.bar is None else (Tick(value=verdict.bar, label=f"bar {verdict.bar:g}"),)
     against = "no bar" if verdict.bar is None else f"the bar is {verdict.bar:g}"
     return Gauge(
-        title=f"Mean success, new starts ({confidence(verdict)} lower, {confidence(verdict)} "
-        "upper)",
-        sentence=f"Mean success is {verdict.success:.3f}, for new starts from "
+        title=f"Mean success, new initial states ({confidence(verdict)} lower, "
+        f"{confidence(verdict)} upper)",
+        sentence=f"Mean success is {verdict.success:.3f}, for new initial states from "
         f"{verdict.interval.low:.3f} to {verdict.interval.high:.3f} ({confidence(verdict)} each "
         f"side); {against}.",
         axis=Interval(0.0, 1.0),

@@ -61,6 +61,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["typed"] = _typed
+    environment.filters["coded"] = _coded
     return environment
 
 
@@ -77,6 +78,20 @@ def _visible(value: Any) -> Any:
 def _typed(text: str) -> str:
     """Return what is to be copied and typed: its spaces stay what they are."""
     return escape(clean(text, at_most=_LONGEST))
+
+
+def _coded(sentence: str) -> str:
+    """Return a sentence in which what stands between backticks is set as code."""
+    parts = clean(sentence, at_most=_LONGEST).split("`")
+    if len(parts) % 2 == 0:  # One has no other end.
+        return escape(_kept_together(sentence))
+    shown = [
+        Markup("<code>{}</code>").format(part)
+        if place % 2
+        else escape(_BEFORE_UNIT.sub("\u00a0", part))
+        for place, part in enumerate(parts)
+    ]
+    return Markup("").join(shown)
 
 
 @lru_cache(maxsize=1024)

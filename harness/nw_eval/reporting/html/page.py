@@ -15,7 +15,13 @@ from shlex import quote
 from typing import NamedTuple
 
 from nw_base.words import FAULTS, OUTCOMES
-from nw_eval.reporting.headline import blind_spot, headline_parts, how_sure, stopped_early
+from nw_eval.reporting.headline import (
+    blind_spot,
+    flagged_by,
+    headline_parts,
+    how_sure,
+    stopped_early,
+)
 from nw_eval.reporting.html.drawn import course, gauges, plan_views
 from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.html.evidence import (
@@ -68,12 +74,13 @@ def render_html(
     failing = course(rows, verdict)
     views = plan_views(rows, evidence, pictures)
     of_views = [*([evidence.of_paths] if evidence.of_paths else []), *pictures_left_out]
-    word, *parts = headline_parts(verdict, run, intervals=False)
+    word, *parts = headline_parts(verdict, run)
     return render(
         "report.html.j2",
         run=run,
         suite=str(run.suite.get("name", "suite")),
         word=word,
+        by=flagged_by(verdict),
         parts=parts,
         blind_spot=blind_spot(verdict, run),
         reasons=verdict.reasons,

@@ -77,7 +77,7 @@ def all_tables(
         cause_table(cause),
         *(() if brief else (scores_by_scene_table(verdict),)),
         *(() if brief else (perturbations_table(ordered, verdict),)),
-        outcomes_table(ordered),
+        outcomes_table(ordered, verdict),
         contacts_table(ordered, run),
         failures_table(ordered, compared=verdict.against is not None),
         errors_table(ordered),
@@ -109,7 +109,7 @@ def named_tables(
         "expectations": expectations_table(verdict),
         "scores_by_scene": scores_by_scene_table(verdict),
         "perturbations": perturbations_table(rows, verdict),
-        "outcomes": outcomes_table(rows),
+        "outcomes": outcomes_table(rows, verdict),
         "contacts": contacts_table(rows, run),
         "failures": failures_table(rows, compared=verdict.against is not None),
         "errors": errors_table(rows),
@@ -287,7 +287,8 @@ def _drop_in(verdict: Verdict, scenes: Sequence[str] | None) -> tuple[str, str]:
         scenes: that were met; None for all of the run, where it is the verdict's own drop.
     """
     if (found := verdict.against) is not None and scenes is None and found.drop is not None:
-        return f"{found.baseline:.3f}", f"{found.drop:z.3f}"
+        met = found.baseline if found.baseline_met is None else found.baseline_met
+        return f"{met:.3f}", f"{found.drop:z.3f}"
     scenes = scenes or [item.scene for item in verdict.per_scene if item.tier != "informational"]
     items = [] if verdict.against is None else verdict.against.scenes
     items = [item for item in items if item.scene in scenes]
@@ -299,8 +300,10 @@ def _drop_in(verdict: Verdict, scenes: Sequence[str] | None) -> tuple[str, str]:
     return baseline, f"{np.mean(drops):z.3f}" if len(drops) == len(items) else ""
 
 
-def outcomes_table(rows: Sequence[Row]) -> Table:
-    """Return how the trials ended."""
+def outcomes_table(rows: Sequence[Row], verdict: Verdict) -> Table:
+    """Return how the trials ended that are this run's own."""
+    again = None if verdict.against is None else verdict.against.again
+    of = f"Of the {plural(len(rows), 'trial')} of this run; the other results are the baseline's."
     ended: defaultdict[str, list[Row]] = defaultdict(list)
     for row in rows:
         ended[row.outcome].append(row)
@@ -319,6 +322,7 @@ def outcomes_table(rows: Sequence[Row]) -> Table:
             for name in order
         ),
         numbers=frozenset({"trials", "share", "mean success"}),
+        foot=of if again is not None and again.taken_over else "",
     )
 
 

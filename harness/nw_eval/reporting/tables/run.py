@@ -104,12 +104,12 @@ def taken_over(run: RunInfo, rows: Sequence[Row]) -> str:
     again = 0 if run.cache is None else run.cache.reexecuted
     if not hits and not again:
         return ""
-    text = f"{hits} of {len(rows)} results are from earlier runs, by the cache of trials"
+    text = f"Cache: {hits} of {plural(len(rows), 'result')} reused."
     if run.cache is None or not again:
-        return f"{text}."
+        return text
     wrong = len(run.cache.differing)
-    came = f"{wrong} of them came to other bits" if wrong else "came to the same bits"
-    return f"{text}; {again} more ran again to be compared, and {came}."
+    re_run = f"{plural(again, 'trial')} {'was' if again == 1 else 'were'} re-run as a check"
+    return f"{text} {re_run} and {f'{wrong} differed' if wrong else 'matched'}."
 
 
 def provenance_table(run: RunInfo) -> Table:

@@ -99,7 +99,7 @@ def scenes_table(verdict: Verdict, rows: Sequence[Row] = (), *, brief: bool = Fa
         title="Success by scene",
         columns=(
             *("scene", "split", "tier", "trials", _LEFT, "success", own, "completed"),
-            *("baseline", "change", f"change, {change}", "regressed"),
+            *("baseline", "change", f"change, {change}", "regressed", "worse from"),
         ),
         rows=tuple(
             (
@@ -138,7 +138,10 @@ def scenes_table(verdict: Verdict, rows: Sequence[Row] = (), *, brief: bool = Fa
 
 def _lines(verdict: Verdict) -> list[_Line]:
     scores = {item.scene: item for item in verdict.per_scene}
-    drops = () if verdict.against is None else verdict.against.scenes
+    found = verdict.against
+    drops = () if found is None else found.scenes
+    if found is not None and found.again is not None and found.again.taken_over:
+        drops = ()  # The results are the baseline's: nothing changed.
     lines = [
         # What is said of a scene is not said of what was changed in it.
         _Line(score=None if item.perturbation else scores.get(item.scene), drop=item)
@@ -150,18 +153,20 @@ def _lines(verdict: Verdict) -> list[_Line]:
     ]
 
 
-def _compared(line: _Line, *, brief: bool) -> tuple[str, str, str, str]:
-    """Return the cells of what changed: baseline, change, its interval, whether it regressed."""
+def _compared(line: _Line, *, brief: bool) -> tuple[str, str, str, str, str]:
+    """Return the cells of what changed: baseline, change, its interval, and the two tests.
+
+    One says whether the scene regressed, the other from which waypoint on it is worse.
+    """
     item = line.drop
     if item is None:
-        return "", "", "", ""
+        return "", "", "", "", ""
     baseline = "none" if item.baseline is None else f"{item.baseline:.3f}"
     interval = ""
     if not brief and item.interval is not None and item.trials:
         interval = span(Interval(-item.interval.high, -item.interval.low))
-    from_there = "" if item.waypoint is None else f"from waypoint {item.waypoint}"
-    regressed = ", ".join(filter(None, ("yes" if item.named else "", from_there)))
-    return baseline, line.change, interval, regressed
+    from_there = "" if item.waypoint is None else f"waypoint {item.waypoint}"
+    return baseline, line.change, interval, "yes" if item.named else "", from_there
 
 
 def _has_own_interval(line: _Line, verdict: Verdict) -> bool:
@@ -247,9 +252,11 @@ def _of_splits(scores: Sequence[SceneScore]) -> str:
 def _note(found: Comparison, header: str) -> str:
     """Return of which trials a change is, and when a scene is reported as regressed."""
     judged = sum(item.counts for item in found.scenes)
-    known = f"{plural(found.starts, 'start')} in each scene"
+    known = f"{plural(found.starts, 'initial state')} in each scene"
     if found.basis == "control":
         known = f"{plural(found.control, 'trial')} that ran beside the candidate"
+    if found.basis == "same" and found.again is not None and found.again.taken_over:
+        return f"Results are the baseline's, {known}; {plural(found.again.ran, 'trial')} re-run."
     means = (
         f"The baseline {found.policy} is {known}, the candidate {plural(found.trials, 'trial')}."
     )
@@ -258,7 +265,8 @@ def _note(found: Comparison, header: str) -> str:
     alone = f"{uncorrected('scene', header)} " if any(x.interval for x in found.scenes) else ""
     return (
         f"{means} {alone}Evidence (a test martingale) is against a drop of at most "
-        f"{found.scene_drop:g} in that scene: >= {judged / found.alpha_regr:.0f} is reported as "
-        f"regressed ({plural(judged, 'scene')} share an error of {100 * found.alpha_regr:.3g} %), "
-        f">= {SUSPECT:g} holds PASS back."
+        f"{found.scene_drop:g} in that scene. At {judged / found.alpha_regr:.0f} or more the scene "
+        f"is reported as regressed ({plural(judged, 'scene')} share an error of "
+        f"{100 * found.alpha_regr:.3g} %). At {SUSPECT:g} or more, PASS is withheld. Worse from is "
+        "another test: the first waypoint that the candidate misses significantly more often."
     )

@@ -23,7 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from itertools import accumulate
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -51,6 +51,15 @@ class Drawn:
     """A trial reaches its i-th waypoint where this is below p^i, shape (repetitions, T)."""
     waypoints: Places
     """k, shape (S,)."""
+
+    def all_or_nothing(self, means: Floats) -> DrawnTrials:
+        """Return the trials of a policy that completes the course, or scores 0.
+
+        Args:
+            means: success in each scene, shape (S,).
+        """
+        candidate = (self.luck < means[self.scenes]).astype(np.float64)
+        return DrawnTrials(scenes=self.scenes, candidate=candidate, baseline=self.baseline)
 
     def trials(self, chances: Floats) -> DrawnTrials:
         """Return the trials of a policy of these chances.
@@ -200,6 +209,11 @@ def trials_for(shares: Sequence[float], share: float) -> int | None:
     return next((number for number, found in enumerate(shares, 1) if found >= share), None)
 
 
+Kind = Literal["every waypoint harder", "all or nothing"]
+"""How a worse policy fails: more often at every waypoint, or before the first one, never later."""
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+
 def operating_curve(
     seen: Sequence[SceneCounts],
     rules: TrialRules,
@@ -209,6 +223,7 @@ def operating_curve(
     drops: Sequence[float] = DROPS,
     repetitions: int = REPETITIONS,
     against: Against = "fresh",
+    kind: Kind = "every waypoint harder",
 ) -> tuple[CurvePoint, ...]:
     """Return how a gate ends at each drop that the baseline is high enough for.
 
@@ -222,6 +237,7 @@ def operating_curve(
         drops: of true success, scenes weighted equally.
         repetitions: simulated gates at each drop.
         against: what the gate compares with.
+        kind: how worse policies fail.
 
     Raises:
         ValueError: scenes have unequal numbers of starts, or fewer than the budget needs.
@@ -237,8 +253,7 @@ def operating_curve(
     mean, points = success_of(seen), list[CurvePoint]()
     for drop in drops:
         if mean - drop > 0.0:
-            chances = chances_of(seen, mean - drop)
-            decisions = settle_all(drawn.bank, drawn.trials(chances), rules)
+            decisions = settle_all(drawn.bank, _of_kind(kind, drawn, seen, mean - drop), rules)
             words = [decision.word for decision in decisions]
             points.append(
                 CurvePoint(
@@ -249,6 +264,14 @@ def operating_curve(
                 )
             )
     return tuple(points)
+
+
+def _of_kind(kind: Kind, drawn: Drawn, seen: Sequence[SceneCounts], mean: float) -> DrawnTrials:
+    """Return the trials of a policy of this mean success that fails in one way."""
+    if kind == "all or nothing":
+        means = np.array([course.counts @ course.values / course.trials for course in seen])
+        return drawn.all_or_nothing(means * (mean / means.mean()))
+    return drawn.trials(chances_of(seen, mean))
 
 
 def progress_at(

@@ -35,7 +35,9 @@ def judged(make_row, make_run, scenes, **changes):
 
 def test_a_small_run_is_shown_whole_under_its_suite_and_policy(make_row, make_run):
     page = summary_page(*judged(make_row, make_run, 14))
-    assert page.startswith("# INCONCLUSIVE: hurdles, go1-parkour\n\nINCONCLUSIVE · success 0")
+    assert page.startswith(
+        "# INCONCLUSIVE: hurdles, go1-parkour\n\nINCONCLUSIVE · completed 12 of 14 "
+    )
     assert len(cells(page, "Success by scene")) == 14
     assert "more in" not in page
     assert "## How sure" in page

@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from nw_eval.reporting.html.environment import _coded
 from nw_eval.reporting.html.evidence import Clip, Film, LogEvidence, PlaceView, WalkedPath
 from nw_eval.suite import Gate
 
@@ -43,9 +44,10 @@ def test_the_verdict_comes_first_with_what_it_rests_on(make_page, read, rows):
     assert (heading.tag, heading.text) == ("h1", "INCONCLUSIVE")
     assert page.one("head").one("title").text == "INCONCLUSIVE · hurdles · go1-parkour"
     facts = [each.text for each in page.one("ul", class_="facts").all("li")]
-    assert facts[0] == "success 0.800 (bar 0.75)"
+    assert facts[0] == "completed 12 of 20 trials in 2 scenes"
+    assert "success 0.800 (bar 0.75)" in facts
     drawing = page.one("section", id="numbers").one("svg", role="img")
-    assert drawing.attributes["aria-label"].startswith("Mean success is 0.800, for new starts")
+    assert drawing.attributes["aria-label"].startswith("Mean success is 0.800, for new ")
 
 
 def test_a_reader_without_eyes_finds_a_way_through(make_page, read, rows, full_evidence):
@@ -124,7 +126,7 @@ def test_a_page_without_logs_is_whole_and_claims_none(make_page, read, rows):
         "Worst trials",
         "Numbers of the verdict",
         "Scenes",
-        "Where on the course it fails",
+        "Progress along the course",
         "Outcomes",
         "Where the time went",
         "Provenance",
@@ -263,3 +265,11 @@ def test_a_page_stays_small(make_page, make_row, full_evidence, trials, scenes, 
         for index in range(trials)
     ]
     assert len(make_page(drawn, full_evidence(drawn)).encode()) < most
+
+
+def test_what_is_to_be_typed_is_set_as_code_in_a_reason():
+    assert (
+        _coded("`nw-eval run x` <b> runs 5 s")
+        == "<code>nw-eval run x</code> &lt;b&gt; runs 5\u00a0s"
+    )
+    assert _coded("one ` alone") == "one ` alone"
