@@ -87,7 +87,7 @@ def attribute(
         policy: where the baseline's policy lies, if not where the baseline says.
         checkpoint: weights in place of those that its card names.
         trials: how many; the worst first.
-        workers: processes; one for each core if None.
+        workers: processes (default: one per core).
         allow_code: whether Python code that the card names may be imported.
         planned: told what is to be done, before anything is.
         ended: told of each trial, as it ends.

@@ -63,7 +63,7 @@ def show_baseline(baseline: str | Path, *, suite: str | None = None) -> ShownBas
 
     Args:
         baseline: a name, `<suite>/<name>`, or a path.
-        suite: the suite's name, where several have a baseline of that name.
+        suite: the suite's name, if several suites have a baseline of that name.
 
     Raises:
         UsageError: there is none, or it is not clear which.
@@ -82,9 +82,9 @@ def diff_baselines(
     """Compare two banks: what they hold for, and what happened from their starts, by scene.
 
     Args:
-        then: the earlier one: a name, `<suite>/<name>`, or a path.
-        now: the later one.
-        suite: the suite's name, where several have a baseline of such a name.
+        then: the earlier baseline: a name, `<suite>/<name>`, or a path.
+        now: the later baseline.
+        suite: the suite's name, if several suites have a baseline of that name.
 
     Raises:
         UsageError, StoreError, IncomparableError: as `show_baseline`.
@@ -177,7 +177,7 @@ def here(suite: str | Path, *, policy: str | None, **changes: Any) -> Here:
 
     Args:
         suite: a file, or the name of a shipped one.
-        policy: as for `run`; the suite's own if None.
+        policy: as for `run` (default: the suite's policy).
         changes: other fields of `Request`.
 
     Raises:
@@ -267,8 +267,8 @@ def check_baseline(
 
     Args:
         baseline: a name, `<suite>/<name>`, or a path.
-        suite: the suite's file, where its name does not find it.
-        policy: where the baseline's policy lies, if not where the baseline says.
+        suite: the suite's file, if its name is not enough.
+        policy: where the baseline's policy is (default: the path in the baseline).
         changes: of `Request`: checkpoint, render, allow_code.
 
     Raises:

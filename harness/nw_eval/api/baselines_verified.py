@@ -68,12 +68,12 @@ def verify_baseline(
 
     Args:
         baseline: a name, `<suite>/<name>`, or a path.
-        trials: how many of all its starts, or which share, such as `10%`, at least one; 10% if
-            None.
-        seed: the seed that an earlier verification told, to draw its starts again; one that cannot
-            be predicted if None.
-        suite: the suite's file, where its name does not find it.
-        policy: where the baseline's policy lies, if not where the baseline says.
+        trials: how many initial states to re-run, or which share, such as `10%`; at least one
+            (default: 10%).
+        seed: the seed that an earlier verification printed, to draw the same trials (default:
+            random).
+        suite: the suite's file, if its name is not enough.
+        policy: where the baseline's policy is (default: the path in the baseline).
         changes: of `Request`: checkpoint, render, time_limit, memory_limit, allow_code; of `How`:
             workers, listener.
 

@@ -32,11 +32,11 @@ def compare(
     They are compared on the starts that all have a result from. Nothing is judged.
 
     Args:
-        runs: folders of runs, and baselines by path or, beside a run, by name; each is compared
-            with the first by waypoints.
-        out: a Markdown page to write.
-        picture: a PNG of all scenes and policies to write.
-        confidence: of each interval alone, and of all ranks together.
+        runs: run folders, and baselines by path or, beside a run, by name. Each is compared with
+            the first.
+        out: write a Markdown page here.
+        picture: write a PNG of all scenes and policies here.
+        confidence: confidence level, per interval and jointly for ranks.
 
     Raises:
         UsageError: there are fewer than two, one is neither a run nor a baseline, or the confidence
@@ -138,11 +138,11 @@ def sim2real(
 
     Args:
         real: a CSV with the columns policy, scene, trials, success (0 to 1).
-        runs: folders of runs, and baselines by path or, beside a run, by name; those of other
-            policies may be among them.
-        confidence: of each interval.
-        score: a score of the runs in place of success; the CSV has a column of its name, in its
-            unit. Figures are of values within its range, 1 the best; gaps are in its unit.
+        runs: run folders, and baselines by path or, beside a run, by name; other policies are
+            ignored.
+        confidence: confidence level, per interval.
+        score: compare this score of the runs in place of success; the CSV has a column of that
+            name, in the score's unit. Gaps are in that unit.
 
     Raises:
         UsageError: the CSV is none, or names a policy or scene that no run has; there is no run;

@@ -406,7 +406,7 @@ def check(
 
     Args:
         request: as for `plan`.
-        workers: processes to reckon with; one for each core if None.
+        workers: processes to reckon with (default: one for each core).
         changes: fields of `Request` by name.
 
     Raises:

@@ -85,9 +85,8 @@ def index_runs(
 
     Args:
         runs: their folders.
-        out: where to write the page; if None, `index.html` in the folder that all of them lie in.
-            Those of the runs are in a folder beside it: of `index.html`, in `index-runs`.
-        title: of the page; how many runs there are if None.
+        out: where to write the page (default: `index.html` in the folder that contains all runs).
+        title: of the page (default: the number of runs).
         pictures: whether built-in scenes are drawn, by their splats.
 
     Raises:

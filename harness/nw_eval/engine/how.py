@@ -83,7 +83,7 @@ class How:
 
     @property
     def told(self) -> Listener:
-        """Who hears of progress, if only one that does nothing."""
+        """Receives progress events, if only to ignore them."""
         return self.listener or NullListener()
 
     @property

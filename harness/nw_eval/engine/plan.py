@@ -257,7 +257,7 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
 
     Args:
         plan: what would be run.
-        workers: processes; one for each core if None.
+        workers: processes (default: one for each core).
     """
     trials = Counter(trial.scene for trial in _expected(plan))
     return Forecast(
@@ -465,7 +465,7 @@ def minutes_of(trials: float, plan: Plan, *, workers: int | None = None) -> floa
     Args:
         trials: how many, whatever the plan has.
         plan: whose suite and policy they are of.
-        workers: processes; one for each core if None.
+        workers: processes (default: one for each core).
     """
     sees = bool(plan.bundle.card.splat_images) or plan.suite.record == "all"
     each = (_SEEING if sees else _BLIND) * plan.suite.episode.duration

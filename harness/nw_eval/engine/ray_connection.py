@@ -123,7 +123,7 @@ def joined(address: str, *, cores: int | None) -> Generator[Joined]:
 
     Args:
         address: `HERE`, `auto`, `host:port` or `ray://host:port`.
-        cores: workers of a cluster that is started here; one for each core if None.
+        cores: workers of a cluster that is started here (default: one for each core).
 
     Raises:
         PrerequisiteError: Ray is not installed.

@@ -302,7 +302,7 @@ def write_ready_suite(
         name: of what it is about; what no suite's name may hold becomes a dash.
         scenes: as `scenes:` of a suite has them, one at least; paths start at the file.
         robot: that runs in it; a path starts at the file (`robot_from`).
-        policy: as above, without `--policy`; one that nw-eval has a card of if None.
+        policy: as above, without `--policy` (default: one that nw-eval has a card of).
         perturb: values of axes of perturbation.
 
     Raises:

@@ -59,11 +59,11 @@ def open_study(
     Args:
         kind: of the study.
         config: its file; None only with `resume`.
-        out: its folder; `runs/NAME` if None.
+        out: its folder (default: `runs/NAME`).
         resume: the folder of a study to go on with.
         say: takes a line for people.
         listening: makes what hears of one evaluation.
-        workers: processes; one for each core if None.
+        workers: processes (default: one for each core).
 
     Raises:
         UsageError: what is wrong with the config, by file and line; there is no config, or no
@@ -107,7 +107,7 @@ class StudyRun:
         trials: of an evaluation in each scene.
         say: takes a line for people.
         listening: makes what hears of one evaluation.
-        workers: processes; one for each core if None.
+        workers: processes (default: one for each core).
     """
 
     def __init__(

@@ -20,11 +20,11 @@ class Program:
     """A training program. Subclasses have `_train` and `_go_on`."""
 
     config: tyro.conf.Positional[str | None] = None
-    """A config file, or the name of a shipped one; a folder to resume has its own."""
+    """A config file or a shipped config's name. Optional with --resume."""
     out: Path | None = None
-    """The folder of the training; `runs/<config's name>` when absent."""
+    """The training's folder (default: `runs/<config's name>`)."""
     resume: Path | None = None
-    """Go on with the training in this folder."""
+    """Resume the training in this folder."""
 
     def __call__(self) -> int:
         from nw_base.errors import UsageError
@@ -72,12 +72,12 @@ class Teacher(Program):
 class Student(Program):
     """Train a student: DAgger with ACT in the training scenes, from images.
 
-    Each round leaves a policy in the folder's `policies/`, and beside it the same one with its
-    images frozen to the mean of those that it learnt from.
+    Each round writes a policy into the folder's `policies/`, and a blind copy of it that sees the
+    mean training image.
     """
 
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Processes that drive trajectories; one for each core when absent."""
+    """Processes that collect trajectories (default: one per core)."""
 
     def _train(self, config: Path, out: Path) -> Trained:
         from nw_eval.engine.how import check_workers
@@ -96,14 +96,14 @@ class Student(Program):
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """Write the policy of a teacher's checkpoint: its card, and its weights as ONNX."""
+    """Export the policy of a teacher's checkpoint: its card, and its weights as ONNX."""
 
     folder: tyro.conf.Positional[Path]
-    """Of the training."""
+    """The training's folder."""
     out: Path
     """The policy's folder, such as policies/mine."""
     checkpoint: int | None = None
-    """Number of a kept checkpoint; the newest state when absent."""
+    """Number of a saved checkpoint (default: the newest state)."""
 
     def __call__(self) -> int:
         from nw_learn.teacher.policy import export_checkpoint

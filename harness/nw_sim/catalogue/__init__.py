@@ -136,7 +136,7 @@ def references(
             `neverwhere:...`, `hub:...`; `triangles:` before any of them as in `get_scene`. What is
             not on this machine is fetched.
         base: folder that relative paths start from; the working folder by default.
-        collision: how meshes collide, whatever the patterns say of it; as they say if None.
+        collision: how meshes collide, whatever the patterns say of it (default: as they say).
 
     Returns:
         By pattern, then by name, each once: a built-in name, the absolute path of a folder, or

@@ -98,7 +98,7 @@ def draw_gallery(
         scene: where; without a splat its camera images are left out, and the sheet says so.
         path: of the PNG.
         robot: its name.
-        renderer: of the scene's splat; opened if None.
+        renderer: of the scene's splat (default: opened).
 
     Raises:
         SceneError: the splat cannot be made. StoreError: the picture cannot be written.

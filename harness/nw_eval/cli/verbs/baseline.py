@@ -43,12 +43,11 @@ if TYPE_CHECKING:
     listens=True,
 )
 class Save(Verb):
-    """Run what is missing of a baseline, and save it as reports/baselines/<suite>/<name>.parquet.
+    """Run the trials a baseline needs and save it as reports/baselines/<suite>/<name>.parquet.
 
-    Says first about how long it takes. A save that Ctrl-C interrupted goes on when the same command
-    is given again, and writes the same results. A baseline that is there gets this
-    class of machine, too. One that holds for something else is replaced with --renew only, after
-    what moved is shown (exit code 5 without it).
+    Prints an estimate first. Run the same command again to resume. Adds this machine type to an
+    existing baseline. If the suite or scenes changed, --renew is required and the changes are shown
+    (exit code 5 without it).
     """
 
     run: Path | None
@@ -62,7 +61,7 @@ class Save(Verb):
 
 @verb_of("list_baselines")
 class List(Verb):
-    """List the baselines of the project and those that are shipped."""
+    """List the project's baselines and the shipped ones."""
 
     def show(self, found: Sequence[ListedBaseline]) -> str:
         return baseline_table(found)
@@ -70,7 +69,7 @@ class List(Verb):
 
 @verb_of("show_baseline")
 class Show(Verb):
-    """Say what a baseline holds for, who saved it and why, and what it holds, scene by scene."""
+    """Show what a baseline was saved for, by whom and why, and its results by scene."""
 
     def show(self, found: ShownBaseline) -> str:
         return baseline_page(found)
@@ -78,9 +77,9 @@ class Show(Verb):
 
 @verb_of("check_baseline", changes=("checkpoint", "render", "allow_code"))
 class Check(Verb):
-    """Say whether a baseline still holds here: suite, scenes, protocol, simulator, policy.
+    """Check whether a baseline is compatible: suite, scenes, protocol, simulator, policy.
 
-    Exit code 5 if it does not. Says, too, whether it has results of this class of machine.
+    Exit code 5 if it is not. Also shows whether it has results for this machine type.
     """
 
     def show(self, found: CheckedBaseline) -> str:
@@ -94,10 +93,10 @@ class Check(Verb):
     listens=True,
 )
 class Verify(Verb):
-    """Run starts of a baseline again by its own policy, and name each row that differs.
+    """Re-run some of a baseline's trials with its own policy and name each difference.
 
-    Which starts is drawn by an unpredictable seed. Exit code 5 if a row differs, 4 if a
-    trial comes to no result. Nothing is written into the project.
+    The trials are drawn at random. Exit code 5 if a result differs, 4 if a trial has no result. The
+    project is not changed.
     """
 
     goes_on = "interrupted; not all of the trials that were drawn have run"
@@ -108,7 +107,7 @@ class Verify(Verb):
 
 @verb_of("diff_baselines")
 class Diff(Verb):
-    """Compare two baselines: what they hold for, means by scene, starts that ended otherwise."""
+    """Compare two baselines: settings, means by scene, and trials that ended differently."""
 
     def show(self, found: BaselineChange) -> str:
         return change_page(found)

@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Check(Options):
-    """Say what a suite would run: scenes, trials, digests, expected minutes. Runs no physics.
+    """Show what a suite would run: scenes, trials, digests, expected minutes. Runs no physics.
 
-    Takes the options of `run`. Tells everything that is wrong with the suite, its scenes and its
-    policy at once (exit code 2).
+    Takes the options of `run`. Lists all errors in the suite, its scenes and its policy at once
+    (exit code 2).
     """
 
     suite: tyro.conf.Positional[str] = field()
-    """A suite file, or the name of a shipped suite (`nw-eval suites` lists them)."""
+    """A suite file or a shipped suite's name (`nw-eval suites` lists them)."""
 
     def __call__(self) -> int:
         from nw_eval import api

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @verb_of("compare")
 class Compare(Verb):
-    """Put the policies of runs or baselines side by side: ranks, scenes, where they part."""
+    """Compare runs or baselines: ranks, scenes, and where results differ."""
 
     out: Path | None
     picture: Path | None

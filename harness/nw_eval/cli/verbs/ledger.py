@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @verb_of("read_ledger")
 class Ledger(Verb):
-    """Sum up a ledger: gates a year, false alarms, re-rolls, and luck of the best of many."""
+    """Summarize a ledger: gates per year, false alarms, re-rolls, and how lucky the best are."""
 
     file: Path
 

@@ -23,35 +23,35 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanTrials:
-    """Say how many trials detect a drop against a baseline, and what else the gate would see.
+    """Compute how many trials detect a drop against a baseline, and what else the gate detects.
 
-    Simulates the gate from the scores of a baseline, or of a run of the suite. Of a suite with a
-    bar and no baseline it says how many trials the bar needs, and who passes. Runs no physics.
-    `check` says what would run; this one what it would show. With --shards it says instead into
-    which parts a run goes, each of which a machine of its own runs (`run --shard`).
+    Simulates the gate with the scores of a baseline or of a run of the suite. For a suite with a
+    bar and no baseline, it computes how many trials the bar needs. Runs no physics. With --shards
+    it lists the shards of a run instead; each shard runs on a machine of its own (`run --shard`).
     """
 
     suite: Suite
     detect: float | None = None
-    """Drop of mean success to detect; the suite's gate.max_drop when absent."""
+    """Drop of mean success to detect (default: the suite's `gate.max_drop`)."""
     baseline: str | None = None
-    """The baseline to compare with, by name or path; when absent the suite's gate.baseline, or the
-    only one that there is of the suite."""
+    """The baseline to compare with, by name or path (default: the suite's `gate.baseline`, else its
+    only baseline)."""
     run: Path | None = None
-    """In place of a baseline, a run of the suite: its scores are taken for the baseline's."""
+    """Use the scores of this run of the suite in place of a baseline's."""
     out: Path | None = None
-    """Draw the curve into this file: a PNG."""
+    """Draw the curve into this PNG."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Worker processes to estimate minutes with; the number of cores when absent."""
+    """Worker processes assumed for the estimate in minutes (default: one per core)."""
 
     shards: int | None = None
-    """Cut a run into so many parts."""
+    """Split a run into this many shards."""
     json: bool = False
-    """With --shards: print them as the JSON of a GitHub matrix, in one line."""
+    """With --shards: print the JSON of a GitHub matrix, in one line."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """With --shards: as for `run`, and so are the next two."""
+    """With --shards, as the next two: a policy's name, folder or card (default: the suite's
+    policy)."""
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
-    """Trials per scene, against a baseline at most."""
+    """Trials per scene (default: the suite's number)."""
     scenes: Scenes = None
 
     def __call__(self) -> int:

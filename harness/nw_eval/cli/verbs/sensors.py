@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 @verb_of("draw_sensors", changes=("allow_code",))
 class Sensors(Verb):
-    """Draw what the sensors of a policy's card see, or one frame of every sensor there is."""
+    """Draw what the sensors of a policy's card see, or one frame of every sensor."""
 
     policy = None
     scene = "hurdles/two_logs_park"
     out = Path("sensors.png")
     names: Annotated[bool, tyro.conf.arg(name="list")] = False
-    """List sensors and wrappers, plug-ins included, and draw nothing."""
+    """List sensors and wrappers, with those of plugins, and draw nothing."""
 
     def show(self, found: SeenCard) -> str:
         return seen_text(found)

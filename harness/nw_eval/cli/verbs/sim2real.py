@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @verb_of("sim2real")
 class SimToReal(Verb):
-    """Say how well runs agree with results on the robot, and what a perfect simulator shows."""
+    """Compare simulated results with real-robot results, and with a perfect simulator."""
 
     real: Path
 

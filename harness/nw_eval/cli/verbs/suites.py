@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @verb_of("list_suites")
 class Suites(Verb):
-    """List the suites that can be asked for by name: scenes, trials, bar, policy, purpose."""
+    """List the named suites: scenes, trials, bar, policy, purpose."""
 
     def show(self, found: Sequence[ListedSuite]) -> str:
         return suite_table(found)

@@ -2,7 +2,7 @@
 
     @verb_of("show_baseline")
     class Show(Verb):
-        '''Say what a baseline holds for, who saved it and why.'''
+        '''Show what a baseline was saved for, by whom and why.'''
 
         def show(self, found: ShownBaseline) -> str:
             return baseline_page(found)
@@ -216,9 +216,10 @@ def _shared(name: str) -> _Option:
         hint, arg = get_args(SHARED[name])
         default = {bool: False, str: inspect.Parameter.empty}.get(hint)
         return _Option(name, hint, default, arg)
+    from nw_eval.cli.verbs.options import Options
     from nw_gate.results.request import Request
 
-    hint, told = _hints_of(Request, [name])[name], told_of(Request)[name]
+    hint, told = _hints_of(Request, [name])[name], told_of(Options)[name]
     default = Request.__dataclass_fields__[name].default
     return _Option(name, _plain(hint), default, _arg(name, " ".join(told.split())))
 
@@ -261,5 +262,4 @@ def _sentences(known: Callable[..., Any]) -> dict[str, str]:
 
 
 def _said(sentence: str) -> str:
-    sentence = sentence.replace("if None", "when absent").replace("If None", "When absent")
     return sentence[:1].upper() + sentence[1:]

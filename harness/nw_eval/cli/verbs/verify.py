@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     listens=True,
 )
 class Verify(Verb):
-    """Say whether rows and logs of a run are as they were when it ended, and name what is not.
+    """Check a run's results and logs for changes.
 
-    Then run some of its trials again, drawn by an unpredictable seed, and compare states,
-    actions and images bit for bit. Nothing is written into the run's folder.
+    Then re-run a random sample of its trials and compare states, actions and images exactly. The
+    run's folder is not changed.
     """
 
     goes_on = "interrupted; not all of the trials that were drawn have run"

@@ -203,7 +203,7 @@ def take_over(
     Args:
         path: the trial's log.
         start: seconds, at least 0 and before the trial's end.
-        policy: the bundle that takes over; the one that the log names if None.
+        policy: the bundle that takes over (default: the one that the log names).
         checkpoint: weights in place of those that its card names.
         allow_code: as for a run.
         library: scenes and bundles that are loaded already.
