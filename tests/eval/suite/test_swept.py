@@ -31,7 +31,7 @@ def test_ranges_and_lists_are_values(words, values):
         ("friction=0.3..1.2:1", "has 1 step;"),
         ("friction=0.3..1.2:999", "has 999 steps"),
         ("friction=0.5", "has one value"),
-        ("friction=0..1", "0.0: input should be greater than 0"),
+        ("friction=0..1", "0.0: must be more than 0"),
         ("payload=0..90:2", "90.0: must be at most 20"),
         ("friction=1e999,1", "inf: input should be"),
         ("latency=1e999,1", "inf: input should be"),
