@@ -70,5 +70,5 @@ def test_the_formula_agrees_with_texts_whose_ease_is_known() -> None:
 
 
 def test_code_tables_and_addresses_are_no_prose() -> None:
-    page = "# Head\n\nIt [runs](a.md#very-long). Run `a b c`:\n\n```bash\nrun it all\n```\n\n| a | b |\n"
+    page = "# Head\n\nIt [runs](a.md#long). Run `a b c`:\n\n```bash\nrun all\n```\n\n| a | b |\n"
     assert prose(page) == ["It runs.", "Run code:"]

@@ -121,7 +121,7 @@ class Here:
 
     @property
     def work(self) -> Path:
-        """Where its trials are kept: one folder for each key, policy and class of machine."""
+        """Where its trials are kept: one folder for each key, policy and machine type."""
         from nw_base.digest import digest_of
         from nw_eval.engine.provenance import journal_header
 
@@ -240,9 +240,9 @@ class CheckedBaseline:
     changes: tuple[FieldChange, ...]
     """What must match and does not; none of it, and the baseline holds."""
     has_panel: bool
-    """Whether it has this class of machine."""
+    """Whether it has this machine type."""
     machine: tuple[FieldChange, ...]
-    """In what this class of machine differs from the baseline's first; empty if it has this one."""
+    """In what this machine type differs from the baseline's first; empty if it has this one."""
     unchecked: str | None = None
     """Why its policy was not looked at, where it is not here."""
     suite: str

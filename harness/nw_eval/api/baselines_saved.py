@@ -33,7 +33,7 @@ class SavedBaseline:
 
     file: Path
     action: Literal["new", "panel", "unchanged", "renewed", "kept"]
-    """new: there was none. panel: it has this class of machine now, too. unchanged: it had all of
+    """new: there was none. panel: it has this machine type now, too. unchanged: it had all of
     this. renewed: it was replaced. kept: it would hold for something else, or say something else,
     and is unchanged, because no renewal was asked for."""
     bank: BaselineResults
@@ -271,8 +271,8 @@ def _ahead(place: Here, *, workers: int | None) -> str:
     trials = f"{left} of {total} trials" if left < total else plural(total, "trial")
     minutes = minutes_of(left, place.plan, workers=workers)
     return (
-        f"{trials} to run: at most about {minutes:.1f} minutes with --workers "
-        f"{worker_count(workers, left)}; Ctrl-C keeps what has ended, and the same command goes on"
+        f"{trials} to run: about {minutes:.1f} minutes with --workers "
+        f"{worker_count(workers, left)}; Ctrl-C keeps finished trials; the same command resumes"
     )
 
 
@@ -281,7 +281,9 @@ def _onwards(place: Here) -> str:
     kept = _kept(place)
     if not kept:
         return "no trial has ended yet; the same command begins again"
-    return f"{kept} of {len(place.plan.trials)} trials are kept; the same command goes on with them"
+    return (
+        f"{kept} of {len(place.plan.trials)} trials are kept; run the same command again to resume"
+    )
 
 
 def _kept(place: Here) -> int:

@@ -36,7 +36,7 @@ class VerifiedBaseline:
     ran: int
     """How many came to a result."""
     has_panel: bool
-    """Whether the baseline has been run on this class of machine, so that bits must be equal."""
+    """Whether the baseline has been run on this machine type, so that bits must be equal."""
     differing: tuple[str, ...]
     """A sentence for each row that is not as the baseline says, with both values."""
     faults: tuple[str, ...]
@@ -175,7 +175,7 @@ def _is_here(reference: str) -> bool:
 def _differing(
     rows: Sequence[Row], bank: BaselineResults, machine: dict[str, str]
 ) -> tuple[str, ...]:
-    """Return what differs from the results that a run on a class of machine is compared with."""
+    """Return what differs from the results that a run on a machine type is compared with."""
     from nw_gate.baseline.match import differences
 
     return differences(rows, bank.panel_of(machine) or bank.panels[0])

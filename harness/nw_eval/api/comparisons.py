@@ -104,7 +104,7 @@ def _run(path: Path) -> tuple[RunInfo, Sequence[Row]] | None:
 
 
 def _bank(source: str, runs: Sequence[RunInfo]) -> Entrant:
-    """Return a baseline, on the class of machine of the first run if it has been there."""
+    """Return a baseline, on the machine type of the first run if it has been there."""
     from nw_gate.results.bank import machine_of
     from nw_gate.results.bank_file import find_bank, read_bank
     from nw_gate.side_by_side import entrant_of_bank

@@ -288,7 +288,7 @@ def _finding(run: RunReport) -> Decision:
             f"{run.typed_folder}: {'; '.join(verdict.reasons)}",
             fix=f"remove {run.typed_folder}, and give the same command again"
             if is_wrong
-            else "the same command goes on with what is missing",
+            else "run the same command again to resume",
         )
     words = (verdict.against.word, *(item.word for item in verdict.scores))
     if "REGRESSED" in words:

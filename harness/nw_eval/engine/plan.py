@@ -323,7 +323,7 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
 
 
 def _scores_it_lacks(plan: Plan, against: Against) -> tuple[str, ...]:
-    """Return which gated scores a baseline was saved without, that holds on this class of machine.
+    """Return which gated scores a baseline was saved without, that holds on this machine type.
 
     On another one its policy runs beside the candidate, and is measured, too.
     """

@@ -94,7 +94,7 @@ class Joined:
         if self.is_lost:
             raise TrialError(
                 f"the head of the cluster has not answered for {_ABSENCE:.0f} s",
-                fix="--resume goes on with the run, on this machine or another cluster",
+                fix="resume with --resume, on this machine or another cluster",
             )
         return False
 

@@ -73,7 +73,7 @@ def open_study(
         StoreError: the folder cannot be written.
     """
     if config is None and resume is None:
-        raise UsageError("no config", fix="name one, or go on with a study: --resume FOLDER")
+        raise UsageError("no config", fix="name one, or resume a study: --resume FOLDER")
     if out is not None and resume is not None:
         raise UsageError("--out and --resume exclude each other", fix="drop --out")
     settings = None if config is None else settled(load_config(config, kind.config))
@@ -254,7 +254,7 @@ class StudyFolder:
         if self.config.exists():
             raise UsageError(
                 f"{self.path} holds a study already",
-                fix=f"go on with it: --resume {self.path}, or choose another --out",
+                fix=f"resume it with --resume {self.path}, or choose another --out",
             )
         for student in students:
             fields = student.config.model_dump(mode="json", by_alias=True)

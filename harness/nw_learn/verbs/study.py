@@ -45,7 +45,7 @@ class _Options:
             workers=self.workers,
         )
         if not study.run():
-            tell(f"not at its end; go on with --resume {study.folder.path}")
+            tell(f"not finished; resume with --resume {study.folder.path}")
             return INTERRUPTED
         print(study.folder.page.read_text(encoding="utf-8"))
         print(f"drawn in {study.folder.figure}")

@@ -33,11 +33,11 @@ class Program:
         if self.resume is not None:
             if self.config is not None or self.out is not None:
                 raise UsageError(
-                    "--resume goes on as its folder says", fix="leave CONFIG and --out out"
+                    "--resume takes its settings from its folder", fix="drop CONFIG and --out"
                 )
             return end_of_training(self._go_on(self.resume))
         if self.config is None:
-            raise UsageError("no config", fix="name one, or a folder to go on with: --resume")
+            raise UsageError("no config", fix="name one, or resume a training: --resume FOLDER")
         config = find_config(self.config)
         out = self.out or Path("runs", config.stem)
         return end_of_training(self._train(config, out))
@@ -115,7 +115,7 @@ class Export:
 def end_of_training(trained: Trained) -> int:
     """Say how far a training came and how to go on; return the exit code."""
     if not trained.is_done:
-        more = f"go on with: nw-eval train {trained.program} --resume {trained.folder}"
+        more = f"resume with: nw-eval train {trained.program} --resume {trained.folder}"
         print(clean(f"stopped after {trained.step:,} steps; {more}"))
     print(clean(f"policy: {trained.policy}"))
     return INTERRUPTED if trained.is_interrupted else 0

@@ -343,7 +343,7 @@ def _lost(
     lost = unreachable(client, reference, error or EOFError("it sends nothing"))
     return FetchError(
         f"{lost.message}; {in_words(here)} of {in_words(file.size)} of {file.path} are here",
-        fix="the same command goes on from there",
+        fix="run the same command again to resume",
     )
 
 

@@ -285,7 +285,7 @@ def _trained(
         except StoreError as error:
             say(f"splat: {error}: from the beginning")
         else:
-            say(f"splat: goes on after step {trainer.iteration:,} of {config.iterations:,}")
+            say(f"splat: resumes after step {trainer.iteration:,} of {config.iterations:,}")
     if trainer is None:
         say(f"splat: {len(photos)} photographs, begins with {len(start):,} Gaussians")
         trainer = Trainer(photos, start, config, threads=threads)

@@ -228,7 +228,7 @@ def _working_in(out: Path, say: Say) -> Generator[tuple[Path, Kept]]:
             is_over = not isinstance(error, (StoreError, UsageError) if before else StoreError)
             raise
         except KeyboardInterrupt:
-            say(f"cut off: what was found is kept in {path}, and the same command goes on from it")
+            say(f"cut off: what was found is kept in {path}, and the same command resumes")
             raise
         finally:
             kept.close()

@@ -282,7 +282,7 @@ def resume_training(
     except (OSError, DamagedError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise StoreError(
-            f"{path}: no training to go on with: {reason}", fix="begin it anew"
+            f"{path}: no training to resume: {reason}", fix="start a new one"
         ) from error
     about, began = arrays.pop("about", np.zeros(0, dtype=np.uint8)).tobytes(), digest(start)
     if about != _about(photos, began, config):

@@ -119,7 +119,7 @@ def forged(change):
 
 
 def elsewhere(bank):
-    """A bank of another class of machine."""
+    """A bank of another machine type."""
     machine = {**bank.panels[0].machine, "cpu": "elsewhere"}
     info = bank.manifest.panels[0].model_copy(update={"machine": machine})
     manifest = bank.manifest.model_copy(update={"panels": (info,)})
@@ -127,7 +127,7 @@ def elsewhere(bank):
 
 
 def other_ways(bank):
-    """A bank of another class of machine, on which its policy goes other ways."""
+    """A bank of another machine type, on which its policy goes other ways."""
     starts = tuple(replace(start, trajectory="0" * 16) for start in bank.panels[0].starts)
     return elsewhere(replace(bank, panels=(replace(bank.panels[0], starts=starts),)))
 
@@ -311,7 +311,7 @@ def test_a_bank_that_claims_to_be_the_candidates_own_is_invalid_once_a_start_has
     place, all_rounds
 ):
     claim = as_the_policy(api.report("plain"))
-    # The bits of the policy itself: with other ones nothing is claimed of this class of machine.
+    # The bits of the policy itself: with other ones nothing is claimed of this machine type.
     own = {(row.scene, row.seed_index): trajectory(row) for row in api.report("plain").rows}
 
     def with_bits(bank):
@@ -423,7 +423,7 @@ def test_without_a_bank_the_first_line_says_what_is_not_judged(monkeypatch):
     named = api.plan("quick.yaml", policy="./soft")
     assert (named.against.info.name, named.suite.trials, named.drawn_from) == ("shipped", 4, 4)
     page = forecast_page(api.check("quick.yaml", policy="./soft"))
-    assert "60 % sure; less than 0.5 below baseline shipped" in page
+    assert "(60 % confidence); less than 0.5 below baseline shipped" in page
     assert "2 scenes; at most so many, until the verdict is settled" in page
     nothing = api.plan("quick.yaml", policy="./soft", baseline="none")
     assert (nothing.against, nothing.drawn_from) == (None, None)
@@ -483,7 +483,7 @@ def test_where_the_bank_s_bits_are_repeated_its_panel_counts_as_on_its_own_machi
     forged(elsewhere)
     ears = Ears()
     judged = against(ears=ears)
-    assert "baseline shipped has not seen this class of machine" in ears.lines[1]
+    assert "baseline shipped has no results for this machine type" in ears.lines[1]
     own = api.read_rows("run/baseline")
     assert set(own.arm) == {"baseline"}
     order = [trial.id for trial in api.plan(

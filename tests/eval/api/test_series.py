@@ -64,8 +64,8 @@ def test_the_first_checkpoint_that_fell_is_found_and_a_search_goes_on_where_it_w
     page = series_page(found)
     interval = found.runs[2].verdict.against.interval
     assert (
-        f"the first flagged: fourth.onnx, {interval.low:.2f} (99 % sure) to {interval.high:.2f} "
-        "(95 % sure) worse than the good one" in page
+        f"the first flagged: fourth.onnx, worse than the good one by {interval.low:.2f} (99 % "
+        f"confidence) to {interval.high:.2f} (95 %)" in page
     )
     assert "the last before it that passed: third.onnx" in page
     again = api.bisect("one.yaml", series, **settings)

@@ -207,4 +207,4 @@ def test_two_suites_of_one_panel_are_told_apart_and_the_panel_is_explained():
     )
     assert smoke[0].split(",")[-1] != hurdles[0].split(",")[-1]
     assert smoke[1:] == hurdles[1:]
-    assert smoke[2].strip() == "suites of one seed set meet the same starts in a scene"
+    assert smoke[2].strip() == "suites with the same seed set use the same initial states"

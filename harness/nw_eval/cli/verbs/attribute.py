@@ -130,11 +130,11 @@ _COLUMNS = ("trial", "ended", "at", "committed at", "before its end", "the basel
 def forecast_line(plan: AttributionPlan) -> str:
     """Return what is to be done, and what it costs."""
     left = plan.failed - plan.chosen - plan.without_log
-    what = f"{plan.baseline} takes over {plural(plan.chosen, 'failed trial')}"
-    cost = f"at most about {plan.minutes:.1f} minutes with --workers {plan.workers}"
+    what = f"{plan.baseline} takes over in {plural(plan.chosen, 'failed trial')}"
+    cost = f"about {plan.minutes:.1f} minutes with --workers {plan.workers}"
     words = [f"{what}, at most {plan.tries} times in each: {cost}"]
     if left > 0:
-        words.append(f"{left} more are left out, --trials {plan.chosen + left} takes them in")
+        words.append(f"{left} more are skipped; --trials {plan.chosen + left} includes them")
     if plan.without_log:
         words.append(f"{plural(plan.without_log, 'failed trial')} without a log")
     return "; ".join(words)
@@ -193,7 +193,7 @@ def _verdict(trial: AttributedTrial) -> dict[str, object]:
 def _cells(trial: AttributedTrial) -> tuple[str, ...]:
     report = trial.report
     if report is None:
-        return (clean(trial.trial), "", "", "", "", "nothing came of it")
+        return (clean(trial.trial), "", "", "", "", "no result")
     committed = report.committed
     return (
         clean(trial.trial),
@@ -208,7 +208,7 @@ def _cells(trial: AttributedTrial) -> tuple[str, ...]:
 def _standing(report: AttributionReport) -> str:
     """Return in few words what the baseline makes of the trial."""
     if report.committed is None:
-        return "fails this start as well"
+        return "fails from the start, too"
     if report.completes_throughout:
         return "completes from the last moment"
     return "completes until then" if report.is_monotone else "completes from some moments"
@@ -245,7 +245,7 @@ def _sentence(trial: AttributedTrial) -> str:
     committed, tried = report.committed, plural(len(report.tries), "moment")
     if committed is None:
         return (
-            f"not the candidate's fault alone: {report.baseline} fails this start as well "
+            f"not only the candidate's fault: {report.baseline} fails from the start, too "
             f"({report.tries[0].end} at {_seconds(report.tries[0].steps, report)} s), and "
             f"completes from none of {tried}"
         )
@@ -256,7 +256,7 @@ def _sentence(trial: AttributedTrial) -> str:
     words = f"committed at {_seconds(committed.step, report)} s, {gap} s before {_event(report)}"
     if report.is_monotone:
         return words
-    own = "" if report.tries[0].completes else f"; {report.baseline} fails this start as well"
+    own = "" if report.tries[0].completes else f"; {report.baseline} fails from the start, too"
     return f"{words}; not monotone: {_spells(report)}{own}"
 
 

@@ -32,7 +32,7 @@ class BisectSeries(Verb):
     if the bad one was not, 3 if nothing was decided.
     """
 
-    goes_on = "interrupted; the same command goes on"
+    goes_on = "interrupted; run the same command again to resume"
 
     trials: int | None
     """Trials per scene for each checkpoint, on average. At most this many (default: the suite's
@@ -116,8 +116,8 @@ def _worse(run: RunReport | None) -> str:
         return scores
     low, high = against.interval
     return (
-        f", {low:.2f} ({percent_sure(against.alpha_regr)} sure) to {high:.2f} "
-        f"({percent_sure(against.alpha_pass)} sure) worse than the good one{scores}"
+        f", worse than the good one by {low:.2f} ({percent_sure(against.alpha_regr)} confidence) "
+        f"to {high:.2f} ({percent_sure(against.alpha_pass)}){scores}"
     )
 
 
@@ -130,4 +130,4 @@ def _up_to(run: RunReport | None) -> str:
         return ""
     high = max(0.0, against.interval.high)
     sure = percent_sure(against.alpha_pass)
-    return f"; it may already be up to {high:.2f} worse than the good one ({sure} sure)"
+    return f"; at most {high:.2f} worse than the good one ({sure} confidence)"

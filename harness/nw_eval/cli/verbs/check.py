@@ -45,7 +45,7 @@ def forecast_page(forecast: Forecast) -> str:
         which = f"{len(scenes)} of the suite's {all_of_them}"
     count = f"{which}, {scenes[0].trials} in each"
     if forecast.baseline is not None:
-        count = f"{which}; at most so many, until the verdict is settled"
+        count = f"{which}; a maximum: the run stops when the verdict is decided"
     if forecast.shard is not None:
         count = f"{forecast.shard}, of {which}"
     width = max(len(scene.name) for scene in scenes)
@@ -53,7 +53,7 @@ def forecast_page(forecast: Forecast) -> str:
     lines = [
         f"suite     {suite.name}  ({suite.source.file}, {suite.content_digest[:16]})",
         f"seed set  {suite.digest[:16]}: {facts}",
-        "          suites of one seed set meet the same starts in a scene",
+        "          suites with the same seed set use the same initial states",
         f"gate      {_bar(suite.gate)}{_drop(suite.gate, forecast.baseline, bundle.name)}",
         f"policy    {bundle.name}  ({bundle.card.adapter}, {bundle.origin})",
         *([f"          {SCOPE}"] if bundle.code_sha256 else []),
@@ -66,7 +66,7 @@ def forecast_page(forecast: Forecast) -> str:
         *([] if forecast.power is None else [f"power     {forecast.power.removeprefix(_POWER)}"]),
         *(f"no PASS   {reason}" for reason in forecast.obstacles),
         *(f"warning   {sentence}" for sentence in forecast.warnings),
-        f"expect    at most about {forecast.minutes:.1f} minutes with --workers {forecast.workers}",
+        f"expect    about {forecast.minutes:.1f} minutes with --workers {forecast.workers}",
     ]
     return "\n".join(lines)
 
@@ -76,15 +76,15 @@ _POWER = "Power at this size: "
 
 def _bar(gate: Gate) -> str:
     """Return what a run must show to pass, in words."""
-    sure = f"{100 * gate.confidence:.4g} % sure"
+    sure = f"({100 * gate.confidence:.4g} % confidence)"
     if gate.success_rate is not None:
-        bar = f"success of at least {gate.success_rate:g}, {sure}"
+        bar = f"success at least {gate.success_rate:g} {sure}"
     elif not gate.scores:
         bar = "none (gate.success_rate): the verdict will be RAN"
     else:
-        bar = "no bar of success (gate.success_rate)"
+        bar = "no bar for success (gate.success_rate)"
     for name, asked in gate.scores.items():
-        bar += "" if asked.bar is None else f"; {name} by its bar {asked.bar:g}, {sure}"
+        bar += "" if asked.bar is None else f"; {name} by its bar {asked.bar:g} {sure}"
         bar += "" if asked.max_drop is None else f"; {name} by its max_drop {asked.max_drop:g}"
     return bar
 
@@ -94,5 +94,5 @@ def _drop(gate: Gate, baseline: str | None, policy: str) -> str:
     if baseline is not None:
         return f"; less than {gate.most_drop:g} below baseline {baseline}"
     if gate.max_drop is not None or gate.baseline not in {None, "none"}:
-        return f"; max_drop will not be judged: no baseline is named for {policy}"
+        return f"; max_drop is ignored: no baseline for {policy}"
     return ""

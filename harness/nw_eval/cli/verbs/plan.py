@@ -119,11 +119,11 @@ def bar_plan_page(planned: BarPlan) -> str:
         (f"{truth:.3f}", *(f"{100 * share:.0f} %" for share in shares))
         for truth, shares in planned.curve
     ]
-    sure = f"{100 * planned.confidence:.4g} % sure"
+    sure = f"({100 * planned.confidence:.4g} % confidence)"
     size = f"{plural(planned.trials, 'trial')} in each of {plural(planned.scenes, 'scene')}"
     lines = [
         f"suite     {planned.suite}: {size}",
-        f"bar       success of at least {planned.bar:g}, {sure}; no baseline",
+        f"bar       success at least {planned.bar:g} {sure}; no baseline",
         f"needed    {least} in each scene, if none of them fails (--trials {planned.needed})",
         *(f"no PASS   {reason}" for reason in planned.obstacles),
         "",
@@ -151,7 +151,7 @@ def trial_plan_page(planned: TrialPlan) -> str:
         *_curve(planned),
         "",
         "Simulated, 1,000 gates at each drop: the standard error of a share is at most 1.6 %.",
-        "Between tolerate and max_drop either verdict is legitimate.",
+        "Between tolerate and max_drop, both verdicts are correct.",
         *(line for each in planned.scores for line in _score_lines(each)),
     ]
     return "\n".join(lines)
@@ -180,8 +180,8 @@ def _score_lines(found: ScoreForecast) -> list[str]:
 
 
 def _bank(outset: Outset) -> str:
-    starts = f"{outset.starts} starts in each scene"
-    return starts if outset.known else f"as a baseline of {starts} would have it"
+    starts = f"{outset.starts} initial states per scene"
+    return starts if outset.known else f"simulated for a baseline of {starts}"
 
 
 def _detection(planned: TrialPlan) -> str:
@@ -207,12 +207,12 @@ def _within(planned: TrialPlan, shares: Sequence[float], what: str) -> str:
     ]
     if len(parts) < len(found):
         most = f"{100 * shares[-1]:.0f} %"
-        parts.append(f"in no more than {most} however many of the starts are run")
+        parts.append(f"at most in {most}, even with all initial states")
     return f"{what} {', '.join(parts)}"
 
 
 def _trials(planned: TrialPlan, trials: int) -> str:
-    return f"{plural(trials, 'trial')} ({planned.minutes(trials):.1f} minutes)"
+    return f"{plural(trials, 'trial')} (about {planned.minutes(trials):.1f} minutes)"
 
 
 def _curve(planned: TrialPlan) -> list[str]:
@@ -230,7 +230,7 @@ def _curve(planned: TrialPlan) -> list[str]:
 def shard_page(planned: ShardPlan) -> str:
     """Return the parts as lines of text: what to type for each, and about what it takes."""
     count = len(planned.parts)
-    rows = [("part", "trials", "minutes")]
+    rows = [("shard", "trials", "minutes")]
     rows += [
         (f"--shard {index}/{count}", str(part.trials), f"{part.minutes:.1f}")
         for index, part in enumerate(planned.parts, start=1)
@@ -238,11 +238,11 @@ def shard_page(planned: ShardPlan) -> str:
     most = "at most " if planned.parts[0].baseline is not None else ""
     return "\n".join(
         [
-            f"suite     {planned.suite}: {most}{plural(planned.trials, 'trial')} in {count} parts",
+            f"suite     {planned.suite}: {most}{plural(planned.trials, 'trial')} in {count} shards",
             "",
             *aligned(rows, right=(1, 2)),
             "",
-            "`nw-eval merge RUN... --out FOLDER` puts them together, and judges the whole.",
+            "`nw-eval merge RUN... --out FOLDER` merges and judges them.",
         ]
     )
 

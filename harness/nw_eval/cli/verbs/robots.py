@@ -160,10 +160,10 @@ def check_page(robot: CheckedRobot) -> str:
     ]
     ending = _ending(robot, weight)
     held = ", held upright: it has fewer than three feet" if robot.held else ""
-    tilted = f", tilted by {math.degrees(robot.tilt):.0f} degrees{held}"
+    tilted = f", tilt {math.degrees(robot.tilt):.0f} degrees{held}"
     lines = [
         f"{robot.name}: {ending}; {robot.mass:.2f} kg, of {clean(robot.place)}",
-        f"root put down at {robot.spawn_height:.3f} m, after 2 s at {robot.height:.3f} m{tilted}",
+        f"base height {robot.spawn_height:.3f} m at start, {robot.height:.3f} m after 2 s{tilted}",
         f"eye {_eye(robot.eye)}",
         "",
         *aligned(feet, right={1, 2}),

@@ -73,7 +73,7 @@ class SweepAxes:
             )
         print(sweep_text(found))
         if found.interrupted:
-            tell("interrupted; the same command takes over the trials that ended")
+            tell("interrupted; the same command reuses the finished trials")
             return INTERRUPTED
         return 0
 

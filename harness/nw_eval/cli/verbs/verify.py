@@ -100,7 +100,7 @@ def _repeats(repeats: Repeats) -> Iterator[str]:
     yield from map(_trial, repeats.trials)
     same = sum(each.is_identical for each in repeats.trials)
     yield (
-        f"run again: {same} of {plural(len(repeats.trials), 'trial')} with the same bits, drawn "
+        f"run again: {same} of {plural(len(repeats.trials), 'trial')} identical, drawn "
         f"from {repeats.of} by --seed {repeats.seed}"
     )
 

@@ -47,7 +47,7 @@ class Watch(Verb):
     """
 
     leaves_verdict: ClassVar = True  # In a file, whatever becomes of the print.
-    goes_on = "interrupted; the same command goes on"
+    goes_on = "interrupted; run the same command again to resume"
 
     folder: Path
     trials: int | None
