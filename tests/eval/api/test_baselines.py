@@ -265,7 +265,7 @@ def test_two_banks_are_compared_scene_by_scene(capsys):
     api.save_baseline("quick.yaml", run=run_of("newer", mujoco="4.9.9"), name="newer")
     shown = printed(capsys, "diff", "stand", "newer")
     assert "simulator mujoco  4.0.0 -> 4.9.9" in shown
-    assert "flat/carpet_room  0.000  0.000  +0.000  0 of 4            none" in shown
+    assert "flat/carpet_room  0.000  0.000  +0.000  0 of 4          none" in shown
     assert "No trial changed." in shown
 
 

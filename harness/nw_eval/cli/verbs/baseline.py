@@ -12,6 +12,7 @@ from nw_base.clean import clean
 from nw_base.errors import IncomparableError
 from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ class Save(Verb):
 
 
 @verb_of("list_baselines")
-class List(Verb):
+class List(Printed, Verb):
     """List the project's baselines and the shipped ones."""
 
     def show(self, found: Sequence[ListedBaseline]) -> str:
@@ -68,7 +69,7 @@ class List(Verb):
 
 
 @verb_of("show_baseline")
-class Show(Verb):
+class Show(Printed, Verb):
     """Show what a baseline was saved for, by whom and why, and its results by scene."""
 
     def show(self, found: ShownBaseline) -> str:
@@ -76,7 +77,7 @@ class Show(Verb):
 
 
 @verb_of("check_baseline", changes=("checkpoint", "render", "allow_code"))
-class Check(Verb):
+class Check(Printed, Verb):
     """Check whether a baseline is compatible: suite, scenes, protocol, simulator, policy.
 
     Exit code 5 if it is not. Also shows whether it has results for this machine type.
@@ -92,7 +93,7 @@ class Check(Verb):
     metavars={"trials": "N%|N"},
     listens=True,
 )
-class Verify(Verb):
+class Verify(Printed, Verb):
     """Re-run some of a baseline's trials with its own policy and name each difference.
 
     The trials are drawn at random. Exit code 5 if a result differs, 4 if a trial has no result. The
@@ -106,7 +107,7 @@ class Verify(Verb):
 
 
 @verb_of("diff_baselines")
-class Diff(Verb):
+class Diff(Printed, Verb):
     """Compare two baselines: settings, means by scene, and trials that ended differently."""
 
     def show(self, found: BaselineChange) -> str:
@@ -363,8 +364,8 @@ def _saved(saved: SavedBaseline) -> Iterator[str]:
     if saved.may_have_chosen:
         yield (
             "note: this run is of a watched training; if you chose the checkpoint by its success, "
-            "the success is overstated: save the baseline with --policy, --checkpoint and --held-out "
-            "instead of --run"
+            "the success is overstated: save the baseline with --policy, --checkpoint and "
+            "--held-out instead of --run"
         )
 
 

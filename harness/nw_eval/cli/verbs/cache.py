@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from nw_base.clean import clean
 from nw_base.errors import StoreError
 from nw_base.plural import plural
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @verb_of("cache_info")
-class ShowCache(Verb):
+class ShowCache(Printed, Verb):
     """Show where the trial cache is, how full it is, and whose results it has."""
 
     def show(self, found: CacheUse) -> str:

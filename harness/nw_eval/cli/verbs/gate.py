@@ -18,11 +18,10 @@ class GateRun(Publishing, Verb):
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.verbs.options import summary
 
         with self.publishing(str(self.run)) as judged:
             judged.run = outcome = self.call()
-            print(summary(outcome, folded=self.on_github))
+            print(self.printed(outcome, outcome.exit_code))
             if self.ledger is not None:
                 api.record_verdict(outcome, self.ledger)
             judged.code = outcome.exit_code

@@ -27,13 +27,12 @@ class MergeRuns(Publishing, Verb):
     def __call__(self) -> int:
         from nw_eval import api
         from nw_eval.api.ledgers import check_ledger
-        from nw_eval.cli.verbs.options import summary
 
         with self.publishing(str(self.out)) as judged:
             if self.ledger is not None:
                 check_ledger(self.ledger)
             judged.run = outcome = self.call()
-            print(summary(outcome, folded=self.on_github))
+            print(self.printed(outcome, outcome.exit_code))
             if self.ledger is not None:
                 api.record_verdict(outcome, self.ledger)
             judged.code = outcome.exit_code

@@ -111,6 +111,9 @@ class Publishing:
     ] = ()
     """Show the run with a reporter: junit=PATH, comment=PATH, a tracker, or a plugin's."""
 
+    json: bool = False
+    """Print the verdict as JSON, and no GitHub output."""
+
     @property
     def shows_one_run(self) -> bool:
         """Whether something is asked for that only one run can be shown in."""
@@ -146,10 +149,17 @@ class Publishing:
         Raises:
             UsageError: it is asked for, and its opposite too.
         """
-        if self.github and self.no_github:
-            raise UsageError("--github and --no-github exclude each other", fix="drop one of them")
+        for name, given in (("--no-github", self.no_github), ("--json", self.json)):
+            if self.github and given:
+                raise UsageError(f"--github and {name} exclude each other", fix="drop one of them")
         here = os.environ.get("GITHUB_ACTIONS") == "true"
-        return self.github or (here and not self.no_github)
+        return self.github or (here and not self.no_github and not self.json)
+
+    def printed(self, judged: RunReport, code: int) -> str:
+        """Return what is printed of a judged run: the tables and the verdict, or JSON."""
+        from nw_eval.cli.verbs.printed import judged_json
+
+        return judged_json(judged, code) if self.json else summary(judged, folded=self.on_github)
 
     def _surfaces(self) -> Surfaces:
         from nw_eval import api

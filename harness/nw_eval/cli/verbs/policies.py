@@ -10,6 +10,7 @@ from nw_base.errors import UsageError
 from nw_base.plural import plural
 from nw_eval.cli.terminal.interruption import stopped_by_signals
 from nw_eval.cli.terminal.lines import aligned, fetched_lines
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @verb_of("list_policies")
-class List(Verb):
+class List(Printed, Verb):
     """List the available policies."""
 
     def show(self, found: Sequence[ListedPolicy]) -> str:
@@ -35,7 +36,7 @@ class List(Verb):
 
 
 @verb_of("show_policy", changes=("checkpoint", "allow_code"))
-class Show(Verb):
+class Show(Printed, Verb):
     """Show a card: all terms, joints, settings that are not defaults, and the checkpoint."""
 
     def show(self, found: CardSummary) -> str:
@@ -43,7 +44,7 @@ class Show(Verb):
 
 
 @verb_of("check_policy", changes=("checkpoint", "allow_code"))
-class Check(Verb):
+class Check(Printed, Verb):
     """Run a policy for a few seconds and check its terms, inputs, signs and orders.
 
     In the flat room, a policy with a velocity command is also commanded forward, sideways and in

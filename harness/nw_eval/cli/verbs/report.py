@@ -54,7 +54,6 @@ class Report(Publishing):
         from nw_base.errors import UsageError
         from nw_eval import api
         from nw_eval.cli.terminal.last_words import show
-        from nw_eval.cli.verbs.options import summary
 
         if self.title is not None:
             raise UsageError(
@@ -63,7 +62,7 @@ class Report(Publishing):
             )
         with self.publishing(str(self.runs[0])) as judged:
             judged.run = outcome = api.report(self.runs[0], out=self.out)
-            print(summary(outcome, folded=self.on_github))
+            print(self.printed(outcome, outcome.exit_code))
             if self.open and outcome.html is not None:
                 show(outcome.html)
             judged.code = outcome.exit_code

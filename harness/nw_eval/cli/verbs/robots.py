@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json as jsons
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_base.clean import clean
 from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned, fetched_lines
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -24,7 +23,7 @@ FALLS = 1
 
 
 @verb_of("list_robots")
-class List(Verb):
+class List(Printed, Verb):
     """List the available robots: built in, in ./robots, and of plugins."""
 
     def show(self, found: Sequence[ListedRobot]) -> str:
@@ -32,14 +31,11 @@ class List(Verb):
 
 
 @verb_of("show_robot")
-class Show(Verb):
+class Show(Printed, Verb):
     """Show a robot: joints, motors, feet, camera, mass, and which line defines each."""
 
-    json: bool = False
-    """Print JSON."""
-
     def show(self, found: RobotSummary) -> str:
-        return jsons.dumps(asdict(found), indent=2) if self.json else robot_page(found)
+        return robot_page(found)
 
 
 @verb_of("init_robot")
@@ -57,7 +53,7 @@ class Init(Verb):
 
 
 @verb_of("check_robot")
-class Check(Verb):
+class Check(Printed, Verb):
     """Let a robot stand for 2 s with its pose and gains. Exit code 1 if it falls.
 
     Shows its feet, motors, self-contacts and height, and draws it from outside and through its

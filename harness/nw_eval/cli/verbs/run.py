@@ -61,7 +61,6 @@ class Run(Publishing, Options):
         from nw_eval.api.ledgers import check_ledger
         from nw_eval.cli.terminal.interruption import INTERRUPTED
         from nw_eval.cli.terminal.progress import RunProgress
-        from nw_eval.cli.verbs.options import summary
         from nw_gate.results.labels import typed_labels
 
         with self.publishing(str(self.suite or self.resume or "suite")) as judged:
@@ -90,7 +89,7 @@ class Run(Publishing, Options):
                     listener=progress,
                 )
             judged.code = outcome.exit_code
-            print(summary(outcome, folded=self.on_github))
+            print(self.printed(outcome, judged.code))
             # An interruption that left no trial missing has interrupted nothing.
             if outcome.interrupted and outcome.verdict.verdict == "INFRASTRUCTURE":
                 tell(f"interrupted; continue with --resume {outcome.folder}")

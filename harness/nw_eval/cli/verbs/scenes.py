@@ -13,6 +13,7 @@ import tyro
 from nw_base.clean import clean
 from nw_base.errors import SceneError
 from nw_base.plural import in_words, plural
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @verb_of("list_scenes")
-class List(Verb):
+class List(Printed, Verb):
     """List scenes with their waypoints, split (`split:eval` selects one) and obstacles."""
 
     def show(self, found: Sequence[ListedScene]) -> str:
@@ -29,7 +30,7 @@ class List(Verb):
 
 
 @verb_of("show_scene", named={"reference": "scene"})
-class Show(Verb):
+class Show(Printed, Verb):
     """Show a scene, and draw it from above with its course and heights."""
 
     out: Path | None
@@ -39,7 +40,7 @@ class Show(Verb):
 
 
 @verb_of("check_scenes", without=("policy",), named={"references": "scenes"})
-class Check(Verb):
+class Check(Printed, Verb):
     """Check scenes for errors: files, start, course, splat. Exit code 2 on an error.
 
     Along the course it checks for ground that does not support the robot's feet, steps and gaps

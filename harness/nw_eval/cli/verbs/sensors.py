@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from nw_eval.cli.verbs.printed import json_text
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ class Sensors(Verb):
     out = Path("sensors.png")
     names: Annotated[bool, tyro.conf.arg(name="list")] = False
     """List sensors and wrappers, with those of plugins, and draw nothing."""
+    json: bool = False
+    """With --list: print JSON."""
 
     def show(self, found: SeenCard) -> str:
         return seen_text(found)
@@ -33,7 +36,8 @@ class Sensors(Verb):
             return super().__call__()
         from nw_eval import api
 
-        print(sensor_list(api.list_sensors()))
+        found = api.list_sensors()
+        print(json_text(found) if self.json else sensor_list(found))
         return 0
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @verb_of("splat_info")
-class Info(Verb):
+class Info(Printed, Verb):
     """Show the contents of a splat: counts, bounds, harmonics, sizes, opacities."""
 
     def show(self, found: SplatFigures) -> str:

@@ -208,8 +208,8 @@ OPTION_GROUPS: dict[str, tuple[str, ...]] = {
     ),
     "Machine": ("workers", "engine", "address", "in_process", "no_cache"),
     "Output": (
-        *("out", "record", "ledger", "junit", "comment", "github", "no_github", "track"),
-        *("reporter", "label"),
+        *("out", "record", "ledger", "json", "junit", "comment", "github", "no_github"),
+        *("track", "reporter", "label"),
     ),
     "Scene": ("trail", "task"),
     "Name and licence": ("name", "note", "licence"),

@@ -45,6 +45,7 @@ from nw_eval import api
 from nw_eval.cli.terminal.interruption import INTERRUPTED
 from nw_eval.cli.terminal.last_words import tell
 from nw_eval.cli.verbs.help import told_of
+from nw_eval.cli.verbs.printed import json_text
 from nw_eval.cli.verbs.shared import SHARED
 from nw_eval.engine.how import How
 
@@ -105,7 +106,7 @@ class Verb:
 
     def __call__(self) -> int:
         found = self.call()
-        if shown := self.show(found):
+        if shown := json_text(found) if getattr(self, "json", False) else self.show(found):
             print(shown)
         code = self.code(found)
         if code == INTERRUPTED:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from nw_base.clean import clean
 from nw_base.plural import plural
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     metavars={"trials": "N%|N", "root": "HEX"},
     listens=True,
 )
-class Verify(Verb):
+class Verify(Printed, Verb):
     """Check a run's results and logs for changes.
 
     Then re-run a random sample of its trials and compare states, actions and images exactly. The
