@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _DESCRIPTION = """Decides whether a legged-robot policy checkpoint is good enough to ship.
-It evaluates the checkpoint in simulated scenes, built in or scanned, and
+It evaluates the checkpoint in simulated scenes, synthetic ones or scans, and
 returns a verdict as an exit code."""
 
 
