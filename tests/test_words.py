@@ -62,8 +62,8 @@ def texts(surface: str) -> tuple[tuple[str, str], ...]:
     files = [file for kind in SURFACES[surface] for file in sorted(ROOT.glob(kind))]
     found = {str(file.relative_to(ROOT)): file.read_text("utf-8") for file in files}
     if log := found.get("CHANGELOG.md"):
-        unreleased = r"(?ms)^## \S+ \(unreleased\)$.*?(?=^## |\Z)"
-        found["CHANGELOG.md"] = "".join(re.findall(unreleased, log))
+        newest = re.search(r"(?ms)^## .*?(?=^## |\Z)", log)
+        found["CHANGELOG.md"] = "" if newest is None else newest[0]
     return tuple(found.items())
 
 
