@@ -250,9 +250,7 @@ def _note(found: Comparison, header: str) -> str:
     known = f"{plural(found.starts, 'start')} in each scene"
     if found.basis == "control":
         known = f"{plural(found.control, 'trial')} that ran beside the candidate"
-    means = (
-        f"The baseline {found.policy} is {known}, the candidate {plural(found.trials, 'trial')}."
-    )
+    means = f"The baseline {found.bank} is {known}, the candidate {plural(found.trials, 'trial')}."
     if found.basis == "same":
         return means
     alone = f"{uncorrected('scene', header)} " if any(x.interval for x in found.scenes) else ""
