@@ -365,7 +365,9 @@ def inspect_folder(
         )
         if what_is(splat.path) != "file":
             problem = file.problem(
-                ("splat",), f"there is no splat {text.splat!r} beside it", "check the key `splat`"
+                ("splat",),
+                f"there is no splat {text.splat!r} beside it",
+                "check the key `splat`",
             )
             raise SceneError([problem])
     scene = Scene(
@@ -450,7 +452,7 @@ def _unscaled(folder: Path, text: _SceneFile) -> tuple[SceneFinding, ...]:
             message=f"{SCENE_FILE} says units: {text.units}: its size is unknown, so no robot "
             "runs in it",
             fix=f"put two markers at a known distance in `nw-eval twin label {folder}`, and save; "
-            f"or `nw-eval twin place {folder} --length A B METRES` where it was built there",
+            f"or, if it was built there, `nw-eval twin place {folder} --length A B METRES`",
         ),
     )
 

@@ -93,8 +93,8 @@ def attribute(
         ended: told of each trial, as it ends.
 
     Raises:
-        UsageError: it is no run's folder, there is neither baseline nor policy of that name,
-            `trials` is no number of trials, or no failed trial has a log.
+        UsageError: it is not a run folder, there is neither baseline nor policy of that name,
+            `trials` is not a number of trials, or no failed trial has a log.
         StoreError: run or baseline are damaged.
         IncomparableError: the baseline's policy is not the one that is there.
         PolicyError: the policy cannot be used.
@@ -216,7 +216,7 @@ def baseline_bundle(
         if (bundle.checkpoint_digest, bundle.digest) != (own.checkpoint_digest, own.card_digest):
             raise IncomparableError(
                 f"baseline {bank.manifest.name} was saved with {own.name} "
-                f"({own.checkpoint_digest[:8]}), and {bundle.where} is another one "
+                f"({own.checkpoint_digest[:8]}), and {bundle.where} differs "
                 f"({bundle.checkpoint_digest[:8]})",
                 fix="say where it lies with --policy and --checkpoint, or name the policy itself "
                 "with --baseline",

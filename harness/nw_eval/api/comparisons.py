@@ -88,7 +88,7 @@ def entrants(sources: Sequence[str | Path]) -> list[Entrant]:
 
 
 def _run(path: Path) -> tuple[RunInfo, Sequence[Row]] | None:
-    """Return a run's provenance and rows; None for what is no run's folder."""
+    """Return a run's provenance and rows; None for what is not a run folder."""
     from nw_eval.api.saved_run import saved_rows
     from nw_gate.results.provenance import read_run_info
     from nw_gate.results.run_folder import open_run_folder
@@ -111,14 +111,14 @@ def _bank(source: str, runs: Sequence[RunInfo]) -> Entrant:
 
     if not runs and "/" not in source and not source.endswith(".parquet"):
         raise UsageError(
-            f"{source} is no run's folder, and without a run no baseline is known by its name",
+            f"{source} is not a run folder, and without a run no baseline is known by its name",
             fix="name the baseline's file",
         )
     try:
         path = find_bank(source, suite=str(runs[0].suite.get("name", "")) if runs else "")
     except UsageError as error:
         raise UsageError(
-            f"{source} is no run's folder, and {error.message}", fix=error.fix
+            f"{source} is not a run folder, and {error.message}", fix=error.fix
         ) from None
     bank = read_bank(path)
     panel = (bank.panel_of(machine_of(runs[0])) if runs else None) or bank.panels[0]

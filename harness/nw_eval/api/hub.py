@@ -111,7 +111,7 @@ def push_scene(folder: Path, to: str, *, private: bool = False) -> PushedScene:
         private: create a private repository.
 
     Raises:
-        SceneError: it is no scene folder, or its health check finds errors; or the hub does not
+        SceneError: it is not a scene folder, or its health check finds errors; or the hub does not
             let this user.
         UsageError: `to` names a revision.
         FetchError: the hub cannot be reached or fails; nothing was changed.

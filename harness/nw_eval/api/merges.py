@@ -37,7 +37,7 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
             run was started with, else the suite's).
 
     Raises:
-        UsageError: there is nothing to merge, one is no run's folder or that of a whole run, there
+        UsageError: there is nothing to merge, one is not a run folder or that of a whole run, there
             is no such baseline, or `out` holds something else.
         IncomparableError: two are not parts of one run, each field is named; or, once the rows are
             merged, as `judge`.

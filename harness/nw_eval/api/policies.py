@@ -247,7 +247,7 @@ def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
     Raises:
         PolicyError: it cannot be read, or is not safe to run.
         PrerequisiteError: it is of Orbax, and the extra `orbax` is not installed.
-        UsageError: `out` exists already, or is no file's path.
+        UsageError: `out` exists already, or is not a file's path.
         StoreError: `out` cannot be written.
     """
     from nw_base.files.cache import followed

@@ -35,8 +35,8 @@ def replay(
         allow_code: whether Python code that the card names may be imported.
 
     Raises:
-        UsageError: there is no such file, `start` is no time, `video` ends otherwise, or the scene
-            has changed.
+        UsageError: there is no such file, `start` is not a time, `video` ends otherwise, or the
+            scene has changed.
         PrerequisiteError: the extra `video` is not installed, and one is asked for.
         StoreError: the log cannot be read, or picture or video not written.
         PolicyError: the policy is missing or not the recorded one.
@@ -83,8 +83,8 @@ def take_over(
         allow_code: whether Python code that the card names may be imported.
 
     Raises:
-        UsageError: there is no such file, `start` is no time in the trial, `video` ends otherwise,
-            or the scene has changed.
+        UsageError: there is no such file, `start` is not a time in the trial, `video` ends
+            otherwise, or the scene has changed.
         PrerequisiteError: the extra `video` is not installed, and one is asked for.
         StoreError: the log cannot be read, does not lead that far, or goes another way here; log or
             video cannot be written.

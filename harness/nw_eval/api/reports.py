@@ -156,7 +156,7 @@ def as_begun(run: str | Path) -> RunReport:
     RAN.
 
     Raises:
-        UsageError: it is no run's folder.
+        UsageError: it is not a run folder.
         StoreError: its run.json or its rows are damaged.
     """
     from nw_eval.api.banks import kept_bank
@@ -182,7 +182,7 @@ def as_published(run: Path) -> RunReport:
     may be absent. No link is followed, nothing is written there, and nothing outside is read.
 
     Raises:
-        UsageError: it is no run's folder.
+        UsageError: it is not a run folder.
         StoreError: a file of it is none of its own, damaged, or not as it was when the run ended.
     """
     from nw_eval.api.banks import kept_bank
@@ -240,7 +240,7 @@ def judge(
             none).
 
     Raises:
-        UsageError: it is no run's folder or that of a part of a run, there is no such baseline, or
+        UsageError: it is not a run folder or that of a part of a run, there is no such baseline, or
             a drop is none.
         IncomparableError: the baseline does not hold for the run, or has too few starts for it.
         StoreError: its rows or the baseline are damaged, or the report cannot be written.

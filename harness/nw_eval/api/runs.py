@@ -192,7 +192,7 @@ def judged(folder: RunFolder, *, how: Callable[[Path], RunReport] | None = None)
     try:
         with TracebackIn(folder.path):
             outcome = report_here(folder.path, how=how)
-    except UsageError:  # As if nothing had run: it is no run's folder any more.
+    except UsageError:  # As if nothing had run: it is not a run folder any more.
         Presence(folder.journal).check()
         raise
     # Writing a report into a folder that was removed makes it anew.

@@ -222,7 +222,7 @@ def _bank_of(good: str | Path, request: Request, suite: str, starts: int | None,
     )
     if saved.action == "kept":
         raise IncomparableError(
-            f"{saved.file} is there already, and is no baseline of {good} as it is here",
+            f"{saved.file} is there already, and is not a baseline of {good} as it is here",
             fix="rename the checkpoint or remove the baseline, or name a baseline with --good",
         )
     return str(saved.file)

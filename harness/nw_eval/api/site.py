@@ -297,7 +297,7 @@ def _emptied(out: Path) -> Path:
                 ours = json.loads(regular(mark).read_text(encoding="utf-8")) == {"nw-site": 1}
             if not ours or (out / REPORTS).is_symlink():
                 raise UsageError(
-                    f"{out} holds something that is no site of nw-eval", fix="give a new folder"
+                    f"{out} holds something that is not an nw-eval site", fix="give a new folder"
                 )
             shutil.rmtree(out / REPORTS, ignore_errors=True)
             for old in (out / PAGE, out / RUNS_PAGE, *out.glob(f"{BADGE}*.json")):

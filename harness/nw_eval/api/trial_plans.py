@@ -289,7 +289,7 @@ def _check(resolved: Plan, source: str, suite_digest: str, scenes: Mapping[str, 
         return
     raise IncomparableError(
         f"{source} is not of suite {suite.name!r} as it is: {fault}",
-        fix=f"make it anew with `nw-eval run {suite.name}` or `nw-eval baseline save {suite.name}`",
+        fix=f"repeat it with `nw-eval run {suite.name}` or `nw-eval baseline save {suite.name}`",
     )
 
 

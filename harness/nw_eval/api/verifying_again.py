@@ -88,7 +88,7 @@ def _plan(folder: RunFolder, info: RunInfo, request: Request) -> Plan:
     if request.policy is None and not info.policy.card:
         raise PolicyError(
             f"policy {info.policy.name!r} was an object of the process that ran it",
-            fix="name a bundle that does the same with --policy",
+            fix="give the same policy with --policy",
         )
     plan = continued(folder.path, request)
     if request.policy is None and plan.bundle.card.adapter == "remote":

@@ -170,7 +170,9 @@ def watch(
 
     folder = Path(folder)
     if not folder.is_dir():
-        raise UsageError(f"{folder} is no folder", fix="name the folder that a training writes to")
+        raise UsageError(
+            f"{folder} is not a folder", fix="name the folder that a training writes to"
+        )
     if every < 1 or not interval > 0.0 or (idle is not None and not idle >= 0.0):
         raise UsageError(
             f"every {every}, interval {interval:g}, idle {idle}: one is too low",

@@ -226,7 +226,7 @@ def _check_answers(address: str) -> None:
         raise _unusable(address, error) from None
     if not host or parts.scheme not in {"", "ray"}:
         raise UsageError(
-            f"--address {address!r} is no address of a Ray cluster",
+            f"--address {address!r} is not an address of a Ray cluster",
             fix="give auto, host:port of its head, or ray://host:port",
         )
     port = port or (_CLIENT_PORT if parts.scheme else _HEAD_PORT)

@@ -87,7 +87,7 @@ def draft_suite(name_or_path: str | Path, search: Path | None = None) -> Draft:
 
     Raises:
         UsageError: there is no such suite; names the nearest one.
-        SuiteError: the file is no mapping of settings at all.
+        SuiteError: the file is not a mapping of settings at all.
     """
     path = find_suite(name_or_path, search)
     problems: list[Problem] = []

@@ -280,7 +280,7 @@ class StudyFolder:
             raise IncomparableError(
                 f"{self.path} is of another config: {ours.digest[:8]}, here it is "
                 f"{config.digest[:8]}",
-                fix="leave the config out, or begin in another --out",
+                fix="drop the config, or give another --out",
             )
         return ours
 

@@ -78,7 +78,7 @@ def fetch(reference: Reference) -> Fetched:
             revision or file, not for this user, or it breaks a limit.
         FetchError: the hub cannot be reached or fails; what came is kept, and gone on from.
         PrerequisiteError: the extra `hub`, or `robots` for MuJoCo Menagerie, is not installed.
-        UsageError: HF_ENDPOINT is no address.
+        UsageError: HF_ENDPOINT is not an address.
         StoreError: the cache cannot be written.
     """
     found = kept(reference, reference.revision) if reference.is_pinned else None

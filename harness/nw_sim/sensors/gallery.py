@@ -77,7 +77,7 @@ class SeenObservation:
     """The least of its numbers; None where none is finite."""
     high: float | None
     shutter: str = ""
-    """How long its camera takes, in words; empty where that is no time, and without a camera."""
+    """How long its camera takes, in words; empty where that is not a time, and without a camera."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -503,7 +503,7 @@ def _read_mesh(path: Path) -> tuple[Rows, NDArray[np.int64], Rows, Rows]:
         vertices = np.asarray(mesh.vertices, np.float64)
         return vertices, faces, vertices[faces], tints[faces]
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise SceneError(f"{path} is no mesh with colours: {error}", fix=_FIX) from None
+        raise SceneError(f"{path} is not a mesh with colours: {error}", fix=_FIX) from None
 
 
 def _nearness(places: Rows, eyes: Rows) -> Rows:

@@ -94,7 +94,7 @@ def find_source(
                 f"{path} is a zip archive, as Record3D's .r3d and other exports are",
                 fix="unpack it, and give the folder",
             )
-        raise SceneError(f"{path} is no video", fix=_KINDS)
+        raise SceneError(f"{path} is not a video", fix=_KINDS)
     return frames_of(path, working, frames, say, per_second=per_second)
 
 

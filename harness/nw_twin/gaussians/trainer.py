@@ -158,7 +158,7 @@ class Trainer:
         """Take one step.
 
         Raises:
-            SceneError: the loss is no number any more.
+            SceneError: the loss is not a number any more.
         """
         config, rates, population = self.config, self.config.rates, self.population
         number, share = self._next_photo(), self.iteration / max(1, self.config.iterations - 1)
@@ -295,7 +295,7 @@ def resume_training(
     except (KeyError, ValueError, NwEvalError) as error:
         raise StoreError(
             f"{path}: arrays of a training are missing or do not belong together: {error}",
-            fix="begin it anew",
+            fix="start a new one",
         ) from error
     trainer.began = began
     return trainer

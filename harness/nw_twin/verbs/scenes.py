@@ -136,7 +136,7 @@ def points_of(
     """Return points that are written X,Y or X,Y,Z.
 
     Raises:
-        UsageError: a word is no point of one of these sizes.
+        UsageError: a word is not a point of one of these sizes.
     """
     from math import isfinite
 

@@ -116,7 +116,7 @@ def test_what_is_no_checkpoint_is_refused_before_anything_runs(series):
 def test_a_bank_of_that_name_that_is_of_another_checkpoint_is_not_taken_for_the_good_one(series):
     api.save_baseline("one.yaml", checkpoint="last.onnx", name="good", trials=1)
     with pytest.raises(
-        IncomparableError, match=r"good\.parquet is there already, and is no baseline"
+        IncomparableError, match=r"good\.parquet is there already, and is not a baseline"
     ):
         api.bisect("one.yaml", series, good="good.onnx", bad="last.onnx", baseline_trials=1)
 

@@ -179,7 +179,7 @@ def test_a_part_of_a_run_is_left_out(runs, tmp_path):
 def test_a_folder_of_something_else_stays_as_it_is(runs, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "index.html").write_text("mine")
-    with pytest.raises(UsageError, match="holds something that is no site of nw-eval"):
+    with pytest.raises(UsageError, match="holds something that is not an nw-eval site"):
         nw_eval.write_site(runs, tmp_path / "mine")
     assert (tmp_path / "mine" / "index.html").read_text() == "mine"
     with pytest.raises(UsageError, match="no run to show"):
@@ -194,7 +194,7 @@ def test_reports_that_a_site_has_elsewhere_stay_as_they_are(runs, tmp_path):
     (site / "runs").rename(tmp_path / "elsewhere")
     (site / "runs").symlink_to(tmp_path / "elsewhere")
     before = sorted(tmp_path.rglob("*"))
-    with pytest.raises(UsageError, match="holds something that is no site of nw-eval"):
+    with pytest.raises(UsageError, match="holds something that is not an nw-eval site"):
         nw_eval.write_site(runs, tmp_path / "site")
     assert sorted(tmp_path.rglob("*")) == before
 

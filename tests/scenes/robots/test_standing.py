@@ -127,7 +127,7 @@ def test_out_gets_the_model_and_its_meshes_and_nothing_else(model, tmp_path):
         api.init_robot(model, out=tmp_path / "new")
     deeper = api.init_robot(model, out=tmp_path / "robots" / "b2")
     assert deeper.file == tmp_path / "robots" / "b2" / "robot.yaml"
-    with pytest.raises(UsageError, match=r"dog\.xml is no folder"):
+    with pytest.raises(UsageError, match=r"dog\.xml is not a folder"):
         api.init_robot(model, out=model / "b2")
 
 
