@@ -150,7 +150,7 @@ def _run(place: Here, names: Sequence[str], how: How) -> tuple[tuple[Row, ...], 
     trials = tuple(trial for trial in place.plan.trials if trial.id in chosen)
     scenes = {trial.scene for trial in trials}
     found = tuple(each for each in place.plan.found if each.scene.name in scenes)
-    how.told.message(f"{plural(len(trials), 'trial')} of {len(place.plan.trials)} run again")
+    how.told.message(f"{plural(len(trials), 'trial')} of {len(place.plan.trials)} re-run")
     with TemporaryDirectory(prefix="nw-eval-baseline-") as temporary:
         folder = session.carry_out(
             replace(place.plan, trials=trials, found=found, arm="baseline"),

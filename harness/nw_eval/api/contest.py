@@ -88,10 +88,10 @@ class Contest:
         """
         run, name, policy = own.info, self._against.info.name, self._plan.bundle.name
         if self._plan.is_baseline:
-            count = plural(rechecks(self._plan.request), "start")
+            count = plural(rechecks(self._plan.request), "initial state")
             self._how.told.message(
-                f"{policy} is the policy of baseline {name}: {count} of each scene run again, and "
-                "if they match, the other results are taken from the baseline"
+                f"{policy} is the policy of baseline {name}: {count} per scene re-run; if the "
+                "results match, the others come from the baseline"
             )
         elif not self._is_seen(run):
             run = self._looked_at(own, interrupts)
@@ -148,8 +148,9 @@ class Contest:
             return run.model_copy(update={"baseline": known, "stop": StopInfo(first=0)})
         if not alike:
             self._how.told.message(
-                f"bits are others here than in baseline {name}: its policy runs beside "
-                f"{self._plan.bundle.name} from the same starts, and is compared with it"
+                "this machine computes slightly different results from the one that saved baseline "
+                f"{name}, which is normal: the baseline's policy runs beside "
+                f"{self._plan.bundle.name}, from the same initial states, to be compared with"
             )
         if not alike and self._plan.shard is not None:
             # A part has all its trials, so that nothing is gained by waiting for the candidate's.

@@ -103,7 +103,7 @@ def _plan(folder: RunFolder, info: RunInfo, request: Request) -> Plan:
         )
     if differences := JournalHeader.of_run(info).differences(journal_header(plan)):
         raise IncomparableError(
-            f"trials cannot be compared bit for bit here: {', '.join(differences)} changed",
+            f"trials cannot be compared exactly here: {', '.join(differences)} changed",
             fix="verify the run with the nw-eval and on the kind of machine that made it",
         )
     return plan

@@ -252,7 +252,7 @@ def test_a_run_that_was_killed_goes_on_elsewhere_without_the_bank_and_ends_with_
 def test_the_policy_of_the_bank_runs_one_start_of_each_scene_and_the_rest_is_taken_over(capsys):
     assert ends("run", "quick.yaml", "--baseline", "shipped", "--out", "same") == 0
     out, err = capsys.readouterr()
-    assert "go1-parkour is the policy of baseline shipped: 1 start of each scene run again" in err
+    assert "go1-parkour is the policy of baseline shipped: 1 initial state per scene re-run" in err
     judged = api.report("same")
     over = "taken over from the baseline, 2 run again and equal"
     assert f"PASS · baseline shipped is the same policy · {over}" in " ".join(out.split())
@@ -351,7 +351,7 @@ def test_starts_that_run_again_are_drawn_when_the_run_begins_and_no_file_says_wh
 def test_a_bank_says_which_of_its_starts_are_not_what_its_policy_does(capsys):
     assert ends("baseline", "verify", BANK, "--suite", "quick.yaml", "--share", "25%") == 0
     out = capsys.readouterr().out
-    assert "run again: 2 of 2 trials as the baseline says, values and bits, drawn from 8" in out
+    assert "re-run: 2 of 2 trials are identical to the baseline, drawn from 8" in out
 
     def one_wrong(bank):
         first = bank.panels[0].starts[0]
@@ -367,7 +367,7 @@ def test_a_bank_says_which_of_its_starts_are_not_what_its_policy_does(capsys):
     out = capsys.readouterr().out
     assert out.startswith("scene hurdles/one_low_carpet start 0: success ")
     assert "INVALID: 1 row of baseline shipped differs" in out
-    assert "run again: 7 of 8 trials" in out
+    assert "re-run: 7 of 8 trials" in out
     assert sorted(Path().rglob("*")) == before, "nothing is written into the project"
     forged(as_the_policy(api.report("plain")))
     with pytest.raises(IncomparableError, match="cannot be verified here: policy c"):

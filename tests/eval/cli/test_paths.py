@@ -415,7 +415,7 @@ def test_a_ledger_is_a_file_and_nothing_else_becomes_one(
     path = tmp_path / "ledger"
     os.mkfifo(path)
     ends(*typed(APPENDED[option], things, tmp_path, out=path))
-    assert f"cannot write {path}: it is not a regular file" in capsys.readouterr().err
+    assert f"cannot write {path}: it is no regular file" in capsys.readouterr().err
     assert path.is_fifo()
 
 

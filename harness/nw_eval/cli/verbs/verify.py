@@ -93,15 +93,15 @@ def _finding(finding: Discrepancy) -> str:
 
 def _repeats(repeats: Repeats) -> Iterator[str]:
     if repeats.unable is not None:
-        yield f"nothing was run again: {repeats.unable}"
+        yield f"nothing was re-run: {repeats.unable}"
         return
     if not repeats.of:
-        yield "nothing was run again: no trial has a result"
+        yield "nothing was re-run: no trial has a result"
         return
     yield from map(_trial, repeats.trials)
     same = sum(each.is_identical for each in repeats.trials)
     yield (
-        f"run again: {same} of {plural(len(repeats.trials), 'trial')} identical, drawn "
+        f"re-run: {same} of {plural(len(repeats.trials), 'trial')} identical, drawn "
         f"from {repeats.of} by --seed {repeats.seed}"
     )
 
