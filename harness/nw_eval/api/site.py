@@ -358,7 +358,7 @@ def _sections(
     """Return runs that compare with one another, each in a section; some may be left out."""
     from nw_eval.api.reports import fault_of
     from nw_eval.reporting.html.board import BoardRun, BoardSection
-    from nw_eval.reporting.policy_name import policy_digest, policy_name
+    from nw_eval.reporting.tables.policy_name import policy_digest, policy_name
     from nw_gate.side_by_side import entrant_of_run
 
     groups: list[_Group] = []

@@ -14,8 +14,8 @@ from nw_base.clean import clean
 from nw_eval.reporting.headline import part_of_suite, stopped_early
 from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.html.runs import ListedRun, level_of
-from nw_eval.reporting.policy_name import policy_digest, policy_name
 from nw_eval.reporting.side_by_side import ranks_text
+from nw_eval.reporting.tables.policy_name import policy_digest, policy_name
 from nw_eval.reporting.tables.table import Bar
 from nw_gate.results.provenance import RunInfo
 from nw_gate.side_by_side import PolicyComparison

@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 from nw_base.plural import plural
 from nw_eval.reporting.headline import headline_parts, part_of_suite
 from nw_eval.reporting.html.environment import render
-from nw_eval.reporting.policy_name import policy_digest, policy_name
+from nw_eval.reporting.tables.policy_name import policy_digest, policy_name
 from nw_eval.reporting.tables.table import Bar
 from nw_gate.results.labels import links_of
 from nw_gate.results.provenance import RunInfo

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from nw_base.digest import digest_of
 from nw_base.plural import plural
-from nw_eval.reporting.policy_name import policy_digest, policy_name
+from nw_eval.reporting.tables.policy_name import policy_digest, policy_name
 from nw_eval.reporting.tables.table import Table
 from nw_gate.results.labels import KNOWN
 from nw_gate.results.provenance import RunInfo
