@@ -26,7 +26,7 @@ _PART = re.compile(r"^<!-- generated: ([\w -]+) -->$", re.MULTILINE)
 _NAMED_FENCE = re.compile(r"^( *)```([\w-]+) ([^\s{}=]+)$", re.MULTILINE)
 _FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"\[((?:[^\[\]]|\[[^\]]*\])*)\]\((?!https?://)([^)\s#]+)(#[^)\s]*)?\)")
-_DEFAULT = re.compile(r" \(default: (.*?)\)(?=$| \()", re.DOTALL)
+_DEFAULT = re.compile(r" \(default: ([^()]*)\)(?=\.)")
 _SEARCH = 'data-md-component="search" role="dialog" aria-label="Search"'
 _UNSEARCHED = frozenset({"changelog.md", "reference/api-values.md"})
 """Pages that the search leaves out: every page loads its index, and they are a third of it."""
@@ -95,9 +95,10 @@ def _verb(name: str, form: type, level: int) -> Iterator[str]:
 
 
 def _option(option: Option) -> tuple[str, str, str]:
-    found = _DEFAULT.search(option.help)
-    told = option.help[: found.start()] + option.help[found.end() :] if found else option.help
-    default = "required" if option.is_required else _code(found[1]) if found else ""
+    several = _DEFAULT.findall(option.help)
+    one = several[0] if len(several) == 1 else ""
+    told = _DEFAULT.sub("", option.help) if one else option.help
+    default = "required" if option.is_required else one if " " in one else _code(one) if one else ""
     if not option.flags:
         return _code(option.metavar), default, _cell(told)
     value = f" {_code(option.metavar)}" if option.metavar else ""

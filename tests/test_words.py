@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from nw_base import words
+from nw_eval.cli.verbs import forms, program_page
+from nw_eval.cli.verbs.help import verb_page
 
 ROOT = Path(__file__).parents[1]
 SURFACES = {
@@ -66,8 +68,8 @@ def texts(surface: str) -> tuple[tuple[str, str], ...]:
     files = [file for kind in SURFACES[surface] for file in sorted(ROOT.glob(kind))]
     found = {str(file.relative_to(ROOT)): file.read_text("utf-8") for file in files}
     if log := found.get("CHANGELOG.md"):
-        unreleased = r"(?ms)^## \S+ \(unreleased\)$.*?(?=^## |\Z)"
-        found["CHANGELOG.md"] = "".join(re.findall(unreleased, log))
+        newest = re.search(r"(?ms)^## .*?(?=^## |\Z)", log)
+        found["CHANGELOG.md"] = "" if newest is None else newest[0]
     return tuple(found.items())
 
 
@@ -94,6 +96,66 @@ def test_no_retired_word_is_used(surface: str) -> None:
         if places:
             faults.append(f"{word!r}: say {instead} ({len(places)}: {', '.join(places[-5:])})")
     assert not faults, "\n".join(faults)
+
+
+PHRASES = {
+    r"when absent|if None\b": "(default: X)",
+    r"[Mm]ay be given (again|more than once)|\(repeatable\)": "Repeatable.",
+    r"[,;] at most[.)]": "At most N.",
+    r"(?<!output )\b[Ss]ays? (what|whether|how|where|which|that|if)\b": "show, print or check",
+    r"\bbundle'?s?\b": "a policy folder",
+    r"\bbanks?\b|(?<!in )\bplaces?\b(?! (the|it|them)\b)|\bpanels?\b": "baseline, scene, seed set",
+    r"\b(goes|go|went) on\b|\b[Gg]o on with\b": "resume",
+    r"\b(take|takes|taken|took) (it |them )?over (from|but|their|the results)": "reuse",
+    r"\bthe same bits|\bother bits|bit for bit": "identical results",
+    r"\b[Ww]hoever\b|\bof which\b|\bthat which\b|\bWhose\b": "a clause by its noun",
+    r"\bheed(s|ed)?\b|\bparted\b|\bbreaks off\b|\bof use\b": "ignore, split, fail, invalid",
+    r"class(es)? of machines?\b": "machine type",
+    r"\bat most about\b": "about",
+    r"\bthe very (same|one)\b|\bin this very\b": "the same",
+    r"\bpreviously\b|\bof before\b": "old",
+}
+"""Phrases that no help page has, by a regular expression, and what is said instead."""
+IN_PAGES = (0, 1, 6, 8, 11, 12)
+"""Those that README, Get started, the tutorials and the how-to pages do not have, either."""
+
+
+def help_pages() -> dict[str, str]:
+    """Return the help page of the program and of each verb."""
+    pages = {name: verb_page(name, form, []) for name, form in forms()}
+    pages["nw-eval"] = program_page("")
+    return pages
+
+
+def said(phrase: str, text: str) -> list[str]:
+    """Return where a phrase is in a text, with some words about it."""
+    plain = " ".join(text.split())
+    return [plain[max(0, m.start() - 30) : m.end() + 20] for m in re.finditer(phrase, plain)]
+
+
+@pytest.mark.parametrize("phrase", PHRASES)
+def test_help_is_in_the_words_of_the_field(phrase: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "10000")
+    pages = {name: text for name, text in help_pages().items() if name != "twin place"}
+    faults = [f"{name}: {each}" for name, text in pages.items() for each in said(phrase, text)]
+    # `twin place` is a command, and its examples name folders.
+    faults = [each for each in faults if not re.search(r"twin place|my-place", each)]
+    assert not faults, f"say {PHRASES[phrase]}: {faults}"
+
+
+@pytest.mark.parametrize("phrase", [list(PHRASES)[number] for number in IN_PAGES])
+def test_pages_for_users_are_in_the_words_of_the_field(phrase: str) -> None:
+    kinds = ("README.md", "docs/index.md", "docs/tutorials/*.md", "docs/how-to/*.md")
+    faults = []
+    for file in (file for kind in kinds for file in sorted(ROOT.glob(kind))):
+        prose = re.sub(r"(?ms)^```.*?^```$|`[^`]*`", "", file.read_text("utf-8"))
+        faults += [f"{file.relative_to(ROOT)}: {each}" for each in said(phrase, prose)]
+    assert not faults, f"say {PHRASES[phrase]}: {faults}"
+
+
+def test_a_phrase_is_found_across_lines() -> None:
+    assert said(next(iter(PHRASES)), "its own when\n    absent.") == ["its own when absent."]
+    assert not said(next(iter(PHRASES)), "absent-minded when tired")
 
 
 def test_a_retired_word_is_found_in_sentences_and_identifiers() -> None:

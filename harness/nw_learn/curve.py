@@ -119,7 +119,9 @@ def read_curve(path: Path) -> list[tuple[int, dict[str, float]]]:
     except FileNotFoundError:
         return []
     except (pa.ArrowException, OSError, ValueError, LookupError, TypeError, MemoryError) as error:
-        raise StoreError(f"{path} is damaged: {error}", fix="remove it; it begins anew") from None
+        raise StoreError(
+            f"{path} is damaged: {error}", fix="remove it; a new one is started"
+        ) from None
 
 
 def draw(

@@ -49,7 +49,7 @@ class TrainFolder:
         if folder.config.exists() or folder.state.exists():
             raise UsageError(
                 f"{path} holds a training already",
-                fix="choose another --out, or go on with it: --resume",
+                fix="choose another --out, or resume it with --resume",
             )
         text = regular(config).read_bytes()
         with atomic_path(folder.config) as temporary:

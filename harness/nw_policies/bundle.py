@@ -444,7 +444,7 @@ def card_of_fetched(fetched: Fetched) -> Path:
     if what_is(fetched.folder / CARD_FILE) != "file":
         raise PolicyError(
             f"{fetched.reference}: its revision {fetched.revision[:12]} has no {CARD_FILE}",
-            fix="name a repository that is a bundle; weights alone need a card of yours",
+            fix="name a repository with a card; weights alone need a card of your own",
         )
     return fetched.folder / CARD_FILE
 

@@ -64,7 +64,7 @@ def shared_memory() -> int:
 
     memory = os.memfd_create("nw-eval observations", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     before, most = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))  # It is no file of the user's.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))  # It is not a file of the user's.
     try:
         os.ftruncate(memory, BOARD)
     finally:

@@ -235,7 +235,7 @@ class PythonPolicy:
 
     Raises:
         PolicyError: code is not allowed.
-        CodeError: the class cannot be imported or made, or the object is no policy.
+        CodeError: the class cannot be imported or made, or the object is not a policy.
     """
 
     def __init__(self, bundle: Bundle, *, joints: int, allow_code: bool) -> None:
@@ -246,7 +246,7 @@ class PythonPolicy:
         )
         self.inputs: tuple[InputSpec, ...] = getattr(user_object, "inputs", ())
         if self._is_ours and not callable(getattr(user_object, "act", None)):
-            user_object = SimpleNamespace(act=None)  # A function is no class's object.
+            user_object = SimpleNamespace(act=None)  # A function is not a class's object.
         with _faults():
             self._policy: CodePolicy | None = CodePolicy(
                 user_object,

@@ -104,7 +104,7 @@ class CodePolicy:
         joints: how many numbers an action has.
 
     Raises:
-        FaultError: it is no policy.
+        FaultError: it is not a policy.
     """
 
     def __init__(self, policy: Any, *, name: str, adapter: str, where: str, joints: int) -> None:

@@ -213,7 +213,7 @@ def _tiff(
     if is_grey:
         raise UsageError(
             f"{path}: the numbers of a TIFF are heights",
-            fix="leave --white and --black out, or give a PNG",
+            fix="drop --white and --black, or give a PNG",
         )
     tags: Any = getattr(picture, "tag_v2", {})
     remarks: list[str] = []
@@ -235,7 +235,7 @@ def _tiff(
         try:
             no_data = float(text)
         except ValueError:
-            remarks.append(f"the value {clean(text, at_most=20)!r} for no ground is no number")
+            remarks.append(f"the value {clean(text, at_most=20)!r} for no ground is not a number")
     missing = ~np.isfinite(values)
     if no_data is not None and math.isfinite(no_data):
         # Written as decimal text, it need not be the float of the pixels to the last bit.

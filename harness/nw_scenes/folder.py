@@ -169,7 +169,7 @@ class _PropJoint(_FolderModel):
     anchor: Point = (0.0, 0.0, 0.0)
     """A point on the axis of a hinge, m."""
     range: tuple[Length, Length] | None = None
-    """Least and largest angle of a hinge, rad, or way of a slide, m; no limit when absent."""
+    """Smallest and largest angle of a hinge, rad, or offset of a slide, m (default: no limit)."""
     damping: float = Field(default=0.0, ge=0, le=1e4)
     """N m s/rad of a hinge, N s/m of a slide."""
     friction: float = Field(default=0.0, ge=0, le=1e4)
@@ -201,7 +201,7 @@ class _Prop(_FolderModel):
     T_prop_splat: _Similarity = _Similarity()
     """Where the splat lies in the prop's own frame."""
     boxes: tuple[_PropBox, ...] = Field(default=(), max_length=limits.PROP_BOXES)
-    """What collides; the box round the mesh when absent. A splat needs them."""
+    """Collision shapes (default: the box around the mesh). A splat needs them."""
     position: Point
     """Where its frame is at the start: x, y, z, world, m."""
     quat: Quat = (1.0, 0.0, 0.0, 0.0)
@@ -211,7 +211,7 @@ class _Prop(_FolderModel):
     friction: tuple[Sliding, Turning, Turning] = (1.0, 0.005, 0.0001)
     """MuJoCo's sliding, torsional and rolling coefficients; `perturb` replaces the first."""
     joint: _PropJoint = _PropJoint()
-    """How it moves; free when absent."""
+    """How it moves (default: freely)."""
     kind: Literal["obstacle", "structure", "clutter"] = "obstacle"
     """Its class in `semantics` images."""
 
@@ -234,7 +234,7 @@ class _SceneFile(_FolderModel):
     task: Task
     """What the course asks of the robot; reports group by it."""
     title: Line = ""
-    """One line for people; the name when absent."""
+    """One line for people (default: the name)."""
     licence: Line
     """SPDX identifier of the scene's data, or words."""
     units: Literal["m", "unknown"] = "m"
@@ -252,7 +252,7 @@ class _SceneFile(_FolderModel):
     splat: str | None = None
     """A file of Gaussians inside the folder, which `splat_rgb` looks at."""
     rasterize_mode: RasterizeMode | None = None
-    """What the splat was trained for; when absent, what its file says, else `antialiased`."""
+    """The rendering the splat was trained for (default: what its file says, else `antialiased`)."""
     T_world_splat: _Similarity = _Similarity()
     """Where the splat lies in the world."""
     captures: str | None = None
@@ -365,7 +365,9 @@ def inspect_folder(
         )
         if what_is(splat.path) != "file":
             problem = file.problem(
-                ("splat",), f"there is no splat {text.splat!r} beside it", "check the key `splat`"
+                ("splat",),
+                f"there is no splat {text.splat!r} beside it",
+                "check the key `splat`",
             )
             raise SceneError([problem])
     scene = Scene(
@@ -450,7 +452,7 @@ def _unscaled(folder: Path, text: _SceneFile) -> tuple[SceneFinding, ...]:
             message=f"{SCENE_FILE} says units: {text.units}: its size is unknown, so no robot "
             "runs in it",
             fix=f"put two markers at a known distance in `nw-eval twin label {folder}`, and save; "
-            f"or `nw-eval twin place {folder} --length A B METRES` where it was built there",
+            f"or, if it was built there, `nw-eval twin place {folder} --length A B METRES`",
         ),
     )
 

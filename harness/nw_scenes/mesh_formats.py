@@ -278,7 +278,7 @@ class _Glb:
             factor = base.get("baseColorFactor") or gloss.get("diffuseFactor") or (1.0, 1.0, 1.0)
             r, g, b = np.clip(np.array(factor[:3], dtype=np.float64), 0.0, 1.0).tolist()
             if np.isnan((r, g, b)).any():
-                raise ValueError(f"the colour {factor} of a material is none")
+                raise ValueError(f"the colour {factor} of a material is invalid")
             texture = self._picture(int(entry["index"])) if "index" in entry else None
             self.materials[number] = len(paint.materials)
             if len(self.materials) > 10 * TEXTURES:
@@ -358,7 +358,7 @@ def _gltf_pose(node: dict[str, Any]) -> NDArray[np.float64]:
     T = np.eye(4)
     x, y, z, w = map(float, node.get("rotation", (0, 0, 0, 1)))
     if not 0.1 < x * x + y * y + z * z + w * w < 10.0:
-        raise ValueError(f"the rotation {[x, y, z, w]} of a node is none")
+        raise ValueError(f"the rotation {[x, y, z, w]} of a node is invalid")
     scale = np.array(node.get("scale", (1, 1, 1)), dtype=np.float64).reshape(3)
     T[:3, :3] = rotation_matrix((w, x, y, z)) * scale
     T[:3, 3] = np.array(node.get("translation", (0, 0, 0)), dtype=np.float64).reshape(3)
@@ -528,7 +528,7 @@ class _ObjLooks:
             [" ".join(one if len(one) == 2 else [*one, "0"]) for one in values], np.float64
         )
         if found is None or len(found) != count or flat is None or len(flat) != 2 * len(values):
-            raise SceneError(f"{path}: a `vt` or a corner's second number is none", fix=AGAIN)
+            raise SceneError(f"{path}: a `vt` or a corner's second number is invalid", fix=AGAIN)
         above = np.array(self.above, dtype=np.int64)[face_of]
         index = np.where(found < 0, above + found, found - 1)
         known = (found != 0) & (index >= 0) & (index < len(values))
@@ -613,7 +613,7 @@ def _vertex_numbers(path: Path, rows: list[str], lines: list[int], count: int) -
         for word in row.split():
             if re.fullmatch(r"[+-]?[0-9]{1,15}", word) is None:
                 raise SceneError(
-                    f"{path}:{number}: {clean(word, at_most=40)!r} is no number of a vertex",
+                    f"{path}:{number}: {clean(word, at_most=40)!r} is not a number of a vertex",
                     fix=AGAIN,
                 )
             found.append(int(word))

@@ -31,6 +31,7 @@ from pydantic import (
 from pydantic_core import InitErrorDetails
 
 from nw_base.errors import PluginError, UsageError, nearest
+from nw_base.files.yaml_file import explain_limit
 from nw_base.plugins import AXES as GROUP
 from nw_base.plugins import distribution, installed, is_elsewhere, load, warn, warn_if_built_in
 from nw_base.plural import plural
@@ -505,9 +506,9 @@ class SweptAxis:
             Perturb.model_validate({name: kept})
         except ValidationError as error:
             first = error.errors()[0]
-            value = first.get("input")
+            why = explain_limit(first) or first["msg"].lower()
             raise UsageError(
-                f"--axis {words!r}: {value!r}: {first['msg'].lower()}",
+                f"--axis {words!r}: {first.get('input')!r}: {why}",
                 fix=f"give {axis.low:g} to {axis.high:g}",
             ) from None
         return cls(name=name, values=kept)

@@ -291,7 +291,7 @@ def read_picture(shot: PlacedShot, folder: Path) -> NDArray[np.uint8]:
     """Return a shot's picture, (H, W, 3) uint8.
 
     Raises:
-        SceneError: it is not there, is no picture, or has another size than its camera.
+        SceneError: it is not there, is not a picture, or has another size than its camera.
     """
     path = folder / shot.file
     try:

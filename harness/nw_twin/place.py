@@ -204,7 +204,7 @@ def _write_collision(mesh: Path, path: Path, T: NDArray[np.float64]) -> None:
         vertices = moved_points(T, np.asarray(read.vertices))
         faces = without_lips(vertices, np.asarray(read.faces))
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise SceneError(f"{mesh} is no mesh: {error}", fix="reconstruct again") from None
+        raise SceneError(f"{mesh} is not a mesh: {error}", fix="reconstruct again") from None
     write_collision(path, vertices, faces)
 
 

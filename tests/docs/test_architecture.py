@@ -60,3 +60,9 @@ def test_wheels_name_each_other_by_their_one_version():
         ours = [need for need in needs if need.startswith("nw-")]
         assert all(need.endswith(f"=={__version__}") for need in ours), file
         assert ours or file.parent.name == "nw_base"
+
+
+def test_the_map_of_contributing_has_every_package():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    packages = sorted(path.parent.name for path in ROOT.glob("harness/*/__init__.py"))
+    assert sorted(re.findall(r"^\| `(nw_\w+)` \|", text, re.MULTILINE)) == packages

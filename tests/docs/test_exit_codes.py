@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from nw_eval import api, cli
+from nw_eval.cli.verbs.table import EXIT_CODES as HELP
 from nw_gate.results.bank import Panel
 from nw_gate.results.bank_file import bank_of_run, write_bank
 from nw_gate.verdict import EXIT_CODES
@@ -133,6 +134,22 @@ def words_of(out: str) -> list[str]:
     """Return the words of verdicts that lines begin with, whatever made them."""
     heads = [line.split(" · ")[0].split(" by ")[0] for line in out.splitlines()]
     return [head for head in heads if head in EXIT_CODES]
+
+
+def test_the_same_table_is_in_readme_get_started_and_outcomes_and_help_has_its_words() -> None:
+    pages = [START.parents[1] / "README.md", START, START.parent / "reference" / "outcomes.md"]
+    head = "| code | verdict | meaning |"
+    tables = [page.read_text("utf-8").split(head)[1].split("\n\n")[0] for page in pages]
+    assert len(set(tables)) == 1
+    said = " ".join(HELP.split())
+    for code, word, meaning in re.findall(
+        r"^\| (\d+) \| (\w*) ?\| (.*) \|$", tables[0], re.MULTILINE
+    ):
+        listed = {"RAN": "0 PASS, or RAN", "INFRASTRUCTURE": "4 infrastructure error"}
+        listed |= {"INVALID": "5 invalid comparison"}
+        words = re.split("[;:]", meaning)[0]
+        assert listed.get(word, f"{code} {word or words}") in said
+        assert word not in listed or word == "RAN" or listed[word] == f"{code} {words}"
 
 
 def test_a_run_that_cannot_be_resumed_ends_without_a_verdict(

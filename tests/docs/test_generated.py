@@ -94,7 +94,8 @@ def test_every_verb_has_its_section_with_all_of_its_options(sections: dict[str, 
 def test_options_have_their_defaults_and_words(verbs: str, sections: dict[str, str]) -> None:
     for verb in ("run", "policies check", "scenes import", "baseline save", "train student"):
         assert len(sections[verb].strip().splitlines()[0]) > 10, "a sentence"
-    assert "(default" not in verbs
+    told = [line for line in verbs.splitlines() if "(default" in line]
+    assert all(line.count("(default") > 1 for line in told), "one default has a column"
     (port,) = re.findall(r"^\| `--port`.*$", sections["policies serve"], re.MULTILINE)
     assert re.search(r"\| `8765` \| Port to listen on", port)
     assert "| `SUITE` |" in sections["run"]

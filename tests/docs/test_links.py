@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[2]
 SITE = sorted((ROOT / "docs").rglob("*.md"))
 PAGES = [
     *(ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")),
+    ROOT / "CODE_OF_CONDUCT.md",
     *SITE,
     *sorted((ROOT / "policies").glob("*/README.md")),
     *sorted((ROOT / "robots").rglob("README.md")),

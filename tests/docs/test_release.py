@@ -35,6 +35,7 @@ def test_a_tag_is_published_without_a_token_and_by_pinned_steps_alone():
         "build": {"contents": "read"},
         "image": {"contents": "read"},
         "publish": {"id-token": "write", "attestations": "write"},
+        "publish-page": {"contents": "write"},
         "publish-image": {"packages": "write", "id-token": "write", "attestations": "write"},
     }
     steps = [step["uses"] for job in jobs.values() for step in job["steps"] if "uses" in step]
@@ -44,9 +45,13 @@ def test_a_tag_is_published_without_a_token_and_by_pinned_steps_alone():
     assert not [step for step in jobs["publish"]["steps"] if "run" in step]
     (moved,) = [step["run"] for step in jobs["publish-image"]["steps"] if "run" in step]
     assert not re.search(r"docker (run|build)|python|make|nw-eval [a-z]", moved)
-    for name in ("publish", "publish-image"):
+    (page,) = [step["run"] for step in jobs["publish-page"]["steps"] if "run" in step]
+    assert page.startswith('gh release create "$GITHUB_REF_NAME" dist/* --verify-tag ')
+    for name in ("publish", "publish-page", "publish-image"):
         steps = [step.get("uses", "") for step in jobs[name]["steps"]]
         assert not [step for step in steps if step.startswith("actions/checkout@")]
+    for name in ("publish", "publish-image"):
+        steps = [step.get("uses", "") for step in jobs[name]["steps"]]
         assert [step for step in steps if step.startswith("actions/attest-build-provenance@")]
 
 

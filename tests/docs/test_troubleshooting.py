@@ -30,7 +30,7 @@ _VALUE = (
     r"(?:nw-eval [^`;]*|`[^`]*`|'[^']*'|[^\s;,'\"`]+|(?:of )?[\d.,]+ \S+"
     r"|`\w+` is \d+ numbers|`\w+` \d+ = \d+(?: [x+] \d+)+)?"
 )
-"""What fills a gap of a text and is no text itself: a name, a path, a number with its unit."""
+"""What fills a gap of a text and is not text itself: a name, a path, a number with its unit."""
 
 Text = tuple[str | None, ...]
 """A text of the code, in pieces; None is a gap."""

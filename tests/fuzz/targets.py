@@ -750,7 +750,7 @@ def _bank(folder):
         columns = {name: [line[place] for line in lines] for place, name in enumerate(starts)}
         table = PlainTable(metadata={"bank": json.dumps(manifest)}, columns=columns)
     except (ValueError, TypeError, AttributeError, RecursionError) as error:
-        raise StoreError("bank.json is no table at all") from error
+        raise StoreError("bank.json is not a table at all") from error
     bank_of(table, folder / "gift.parquet")
 
 

@@ -134,11 +134,12 @@ def page_of(words: str, run_scene: Callable[..., Any], **changes: Any) -> str:
 def test_the_first_flagged_and_the_last_that_passed_are_told_with_their_intervals(run_scene):
     page = page_of("++--", run_scene)
     flagged = (
-        "the first flagged: step-2, 0.03 (99 % sure) to 0.12 (95 % sure) worse than the good one"
+        "the first flagged: step-2, worse than the good one by 0.03 (99 % confidence) to "
+        "0.12 (95 %)"
     )
     passed = (
-        "the last before it that passed: step-1; it may already be up to 0.09 worse than the good "
-        "one (95 % sure)"
+        "the last before it that passed: step-1; at most 0.09 worse than the good one (95 % "
+        "confidence)"
     )
     assert [line for line in page.splitlines() if "step-" in line][4:] == [flagged, passed]
     assert "drop (99 % lower, 95 % upper)" in page.splitlines()[0]
@@ -151,5 +152,5 @@ def test_what_is_left_open_before_the_first_flagged_is_named(run_scene):
     assert "not passed and not flagged before it: step-1, step-2" in page
     assert "it is the first of the series" in page_of("----", run_scene)
     passed = page_of("++++", run_scene)
-    assert "none was flagged: step-3 passed; it may already be up to 0.09 worse" in passed
+    assert "none was flagged: step-3 passed; at most 0.09 worse" in passed
     assert "no checkpoint was flagged; undecided: step-3" in page_of("+++?", run_scene)

@@ -285,7 +285,7 @@ SCRIPTED = {
     "code of four megabytes": lambda: repacked(
         scripted(network()), rewritten(".py", lambda code: code + b"\n# x" * 10**6)
     ),
-    "code that is no text": lambda: repacked(
+    "code that is not text": lambda: repacked(
         scripted(network()), rewritten(".py", lambda code: b"\xff\xfe\x00" + code)
     ),
 }

@@ -275,3 +275,40 @@ def test_no_result_that_a_pull_request_can_write_feeds_its_gate(
     told = (tmp_path / "workspace" / "told").read_text().split()
     assert ("--no-cache" not in told) is is_taken
     assert any(step["uses"] == "actions/cache" for step in action.used)
+
+
+FAKE = """#!/bin/sh
+echo "$@" >> calls
+n=$(wc -l < calls)
+code=$(sed -n "${n}p" codes)
+[ -s folder ] && printf 'report-path<<x\\n%s\\nx\\n' "$(cat folder)" >> "$GITHUB_OUTPUT"
+exit "$code"
+"""
+
+
+@pytest.mark.parametrize(
+    ("codes", "folder", "retry", "ends", "calls"),
+    [
+        ("4 0", "reports/it-1", "true", 0, ["it", "--resume reports/it-1"]),
+        ("4 4 0", "reports/it-1", "true", 4, ["it", "--resume reports/it-1"]),
+        ("4 1", "", "true", 1, ["it", "it"]),
+        ("4 0", "reports/it-1", "false", 4, ["it"]),
+        ("1 0", "reports/it-1", "true", 1, ["it"]),
+        ("0", "reports/it-1", "true", 0, ["it"]),
+    ],
+)
+def test_a_run_with_an_infrastructure_error_is_resumed_once(
+    composite: Any, tmp_path: Path, codes: str, folder: str, retry: str, ends: int, calls: list[str]
+) -> None:
+    workspace = tmp_path / "workspace"
+    (workspace / "nw-eval").write_text(FAKE)
+    (workspace / "nw-eval").chmod(0o755)
+    (workspace / "codes").write_text("\n".join([*codes.split(), ""]))
+    (workspace / "folder").write_text(folder)
+    action = composite("nw-eval", {"suite": "it", "retry": retry}, GITHUB_EVENT_NAME="pull_request")
+    action.environment["PATH"] = f"{workspace}:{os.environ['PATH']}"
+    action.run(leave_out="Install")
+    assert action.codes["Run and judge"] == ends, action.log
+    told = (workspace / "calls").read_text().splitlines()
+    assert [line.partition("run ")[2].partition(" --github")[0] for line in told] == calls
+    assert all("--no-cache" in line for line in told), "no result of the pull request counts"

@@ -49,7 +49,7 @@ def mappings(value: Any) -> Iterator[dict[str, Any]]:
 @pytest.mark.parametrize("name", YAMLS)
 def test_steps_of_others_are_pinned_and_no_expression_is_pasted_into_a_script(name: str) -> None:
     for uses, comment in _USES.findall(YAMLS[name]):
-        if not uses.startswith(("./", "YOUR-ORG/")):  # A copy of this repository.
+        if not uses.startswith(("./", "OWNER/")):  # A copy of this repository.
             assert re.fullmatch(r"[\w-]+/[\w/-]+@[0-9a-f]{40}", uses), uses
             assert re.fullmatch(r" # v\d+\.\d+\.\d+", comment), "say which version a pin is"
     for step in mappings(YAML(typ="safe", pure=True).load(YAMLS[name])):

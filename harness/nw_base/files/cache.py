@@ -205,7 +205,7 @@ def open_own(path: Path, flags: int) -> int:
     handle = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
-        raise OSError(errno.EINVAL, "it is no regular file", str(path))
+        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
     return handle
 
 
@@ -398,7 +398,7 @@ def check_place(out: Path) -> None:
         if what_is(above) == "folder":
             continue
         if os.path.lexists(above):
-            raise UsageError(f"no folder can be made at {out}: {above} is no folder", fix=_FIX)
+            raise UsageError(f"no folder can be made at {out}: {above} is not a folder", fix=_FIX)
         if below.name == "..":
             raise UsageError(
                 f"no folder can be made at {out}: there is no {above}",
@@ -415,7 +415,7 @@ def made_place(out: Path) -> None:
     """
     check_place(out)
     if os.path.lexists(out) and what_is(out) != "folder":
-        raise UsageError(f"cannot write {out}: it is no folder", fix=_FIX)
+        raise UsageError(f"cannot write {out}: it is not a folder", fix=_FIX)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -60,6 +60,14 @@ _WORDS = {
 }
 
 
+_LIMITS = {
+    "greater_than": ("gt", "more than"),
+    "greater_than_equal": ("ge", "at least"),
+    "less_than": ("lt", "less than"),
+    "less_than_equal": ("le", "at most"),
+}
+
+
 def is_key(text: str) -> bool:
     """Whether a file may have this key, which goes where names of observations and inputs go."""
     return text.isprintable() and len(text) <= KEY_LIMIT
@@ -366,8 +374,14 @@ def _explain(detail: ErrorDetails) -> tuple[str, str | None]:
     if kind == "union_tag_invalid":
         known = str(context["expected_tags"]).replace("'", "").split(", ")
         return f"{context['tag']!r} is not known", nearest(str(context["tag"]), known)
-    text = _WORDS.get(kind) or message.removeprefix("Input ")
+    text = explain_limit(detail) or _WORDS.get(kind) or message.removeprefix("Input ")
     return f"{text[0].lower()}{text[1:]}, got {shown}", None
+
+
+def explain_limit(detail: Mapping[str, Any]) -> str | None:
+    """Return the limit that a number breaks, such as `must be at least 1`; None = another error."""
+    words = _LIMITS.get(detail["type"])
+    return None if words is None else f"must be {words[1]} {detail['ctx'][words[0]]:g}"
 
 
 def _short(value: Any, limit: int = 60) -> str:

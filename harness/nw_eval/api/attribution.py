@@ -87,14 +87,14 @@ def attribute(
         policy: where the baseline's policy lies, if not where the baseline says.
         checkpoint: weights in place of those that its card names.
         trials: how many; the worst first.
-        workers: processes; one for each core if None.
+        workers: processes (default: one per core).
         allow_code: whether Python code that the card names may be imported.
         planned: told what is to be done, before anything is.
         ended: told of each trial, as it ends.
 
     Raises:
-        UsageError: it is no run's folder, there is neither baseline nor policy of that name,
-            `trials` is no number of trials, or no failed trial has a log.
+        UsageError: it is not a run folder, there is neither baseline nor policy of that name,
+            `trials` is not a number of trials, or no failed trial has a log.
         StoreError: run or baseline are damaged.
         IncomparableError: the baseline's policy is not the one that is there.
         PolicyError: the policy cannot be used.
@@ -216,7 +216,7 @@ def baseline_bundle(
         if (bundle.checkpoint_digest, bundle.digest) != (own.checkpoint_digest, own.card_digest):
             raise IncomparableError(
                 f"baseline {bank.manifest.name} was saved with {own.name} "
-                f"({own.checkpoint_digest[:8]}), and {bundle.where} is another one "
+                f"({own.checkpoint_digest[:8]}), and {bundle.where} differs "
                 f"({bundle.checkpoint_digest[:8]})",
                 fix="say where it lies with --policy and --checkpoint, or name the policy itself "
                 "with --baseline",

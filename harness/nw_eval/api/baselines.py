@@ -63,7 +63,7 @@ def show_baseline(baseline: str | Path, *, suite: str | None = None) -> ShownBas
 
     Args:
         baseline: a name, `<suite>/<name>`, or a path.
-        suite: the suite's name, where several have a baseline of that name.
+        suite: the suite's name, if several suites have a baseline of that name.
 
     Raises:
         UsageError: there is none, or it is not clear which.
@@ -82,9 +82,9 @@ def diff_baselines(
     """Compare two banks: what they hold for, and what happened from their starts, by scene.
 
     Args:
-        then: the earlier one: a name, `<suite>/<name>`, or a path.
-        now: the later one.
-        suite: the suite's name, where several have a baseline of such a name.
+        then: the earlier baseline: a name, `<suite>/<name>`, or a path.
+        now: the later baseline.
+        suite: the suite's name, if several suites have a baseline of that name.
 
     Raises:
         UsageError, StoreError, IncomparableError: as `show_baseline`.
@@ -121,7 +121,7 @@ class Here:
 
     @property
     def work(self) -> Path:
-        """Where its trials are kept: one folder for each key, policy and class of machine."""
+        """Where its trials are kept: one folder for each key, policy and machine type."""
         from nw_base.digest import digest_of
         from nw_eval.engine.provenance import journal_header
 
@@ -177,7 +177,7 @@ def here(suite: str | Path, *, policy: str | None, **changes: Any) -> Here:
 
     Args:
         suite: a file, or the name of a shipped one.
-        policy: as for `run`; the suite's own if None.
+        policy: as for `run` (default: the suite's policy).
         changes: other fields of `Request`.
 
     Raises:
@@ -240,9 +240,9 @@ class CheckedBaseline:
     changes: tuple[FieldChange, ...]
     """What must match and does not; none of it, and the baseline holds."""
     has_panel: bool
-    """Whether it has this class of machine."""
+    """Whether it has this machine type."""
     machine: tuple[FieldChange, ...]
-    """In what this class of machine differs from the baseline's first; empty if it has this one."""
+    """In what this machine type differs from the baseline's first; empty if it has this one."""
     unchecked: str | None = None
     """Why its policy was not looked at, where it is not here."""
     suite: str
@@ -267,8 +267,8 @@ def check_baseline(
 
     Args:
         baseline: a name, `<suite>/<name>`, or a path.
-        suite: the suite's file, where its name does not find it.
-        policy: where the baseline's policy lies, if not where the baseline says.
+        suite: the suite's file, if its name is not enough.
+        policy: where the baseline's policy is (default: the path in the baseline).
         changes: of `Request`: checkpoint, render, allow_code.
 
     Raises:

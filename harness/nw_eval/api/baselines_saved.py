@@ -33,7 +33,7 @@ class SavedBaseline:
 
     file: Path
     action: Literal["new", "panel", "unchanged", "renewed", "kept"]
-    """new: there was none. panel: it has this class of machine now, too. unchanged: it had all of
+    """new: there was none. panel: it has this machine type now, too. unchanged: it had all of
     this. renewed: it was replaced. kept: it would hold for something else, or say something else,
     and is unchanged, because no renewal was asked for."""
     bank: BaselineResults
@@ -68,17 +68,16 @@ def save_baseline(
 
     Args:
         suite: a suite file or the name of a shipped one.
-        policy: a shipped bundle's name, a bundle's folder, or a card; the suite's own if None.
-        trials: trials in each scene; as many as the baseline has, and for a new one 60, or 400 in
-            all in a suite of few scenes, if None.
-        name: the baseline's name; the policy's if None.
-        note: why it is saved; if empty, as before.
-        run: the folder of a finished run to save as a baseline; nothing is run.
-        renew: replace the baseline that is there, with its results of all classes of machine.
-        held_out: draw its starts from a seed set of its own: for a policy that was chosen by its
-            results on the suite's, such as the best of a training. What is compared with it on the
-            suite's seed set counts as having met fresh starts.
-        root: the folder of baselines; `reports/baselines` if None.
+        policy: a shipped policy's name, a policy folder, or a card (default: the suite's policy).
+        trials: trials per scene (default: as many as the baseline has; for a new one 60, or 400 in
+            all in a suite of few scenes).
+        name: the baseline's name (default: the policy's name).
+        note: why it is saved (default: the note it has).
+        run: save this finished run as the baseline, without running anything.
+        renew: replace the existing baseline and its results of all machine types.
+        held_out: draw its initial states from a separate seed set. Use it for a policy that was
+            chosen by its results on the suite's seed set, such as the best of a training.
+        root: the folder of baselines (default: `reports/baselines`).
         changes: of `Request`: scenes, robot, checkpoint, render, time_limit, memory_limit,
             allow_code; of `How`: workers, cache, listener.
 
@@ -272,8 +271,8 @@ def _ahead(place: Here, *, workers: int | None) -> str:
     trials = f"{left} of {total} trials" if left < total else plural(total, "trial")
     minutes = minutes_of(left, place.plan, workers=workers)
     return (
-        f"{trials} to run: at most about {minutes:.1f} minutes with --workers "
-        f"{worker_count(workers, left)}; Ctrl-C keeps what has ended, and the same command goes on"
+        f"{trials} to run: about {minutes:.1f} minutes with --workers "
+        f"{worker_count(workers, left)}; Ctrl-C keeps finished trials; the same command resumes"
     )
 
 
@@ -282,7 +281,9 @@ def _onwards(place: Here) -> str:
     kept = _kept(place)
     if not kept:
         return "no trial has ended yet; the same command begins again"
-    return f"{kept} of {len(place.plan.trials)} trials are kept; the same command goes on with them"
+    return (
+        f"{kept} of {len(place.plan.trials)} trials are kept; run the same command again to resume"
+    )
 
 
 def _kept(place: Here) -> int:

@@ -36,7 +36,7 @@ class VerifiedBaseline:
     ran: int
     """How many came to a result."""
     has_panel: bool
-    """Whether the baseline has been run on this class of machine, so that bits must be equal."""
+    """Whether the baseline has been run on this machine type, so that bits must be equal."""
     differing: tuple[str, ...]
     """A sentence for each row that is not as the baseline says, with both values."""
     faults: tuple[str, ...]
@@ -68,12 +68,12 @@ def verify_baseline(
 
     Args:
         baseline: a name, `<suite>/<name>`, or a path.
-        trials: how many of all its starts, or which share, such as `10%`, at least one; 10% if
-            None.
-        seed: the seed that an earlier verification told, to draw its starts again; one that cannot
-            be predicted if None.
-        suite: the suite's file, where its name does not find it.
-        policy: where the baseline's policy lies, if not where the baseline says.
+        trials: how many initial states to re-run, or which share, such as `10%`; at least one
+            (default: 10%).
+        seed: the seed that an earlier verification printed, to draw the same trials (default:
+            random).
+        suite: the suite's file, if its name is not enough.
+        policy: where the baseline's policy is (default: the path in the baseline).
         changes: of `Request`: checkpoint, render, time_limit, memory_limit, allow_code; of `How`:
             workers, listener.
 
@@ -150,7 +150,7 @@ def _run(place: Here, names: Sequence[str], how: How) -> tuple[tuple[Row, ...], 
     trials = tuple(trial for trial in place.plan.trials if trial.id in chosen)
     scenes = {trial.scene for trial in trials}
     found = tuple(each for each in place.plan.found if each.scene.name in scenes)
-    how.told.message(f"{plural(len(trials), 'trial')} of {len(place.plan.trials)} run again")
+    how.told.message(f"{plural(len(trials), 'trial')} of {len(place.plan.trials)} re-run")
     with TemporaryDirectory(prefix="nw-eval-baseline-") as temporary:
         folder = session.carry_out(
             replace(place.plan, trials=trials, found=found, arm="baseline"),
@@ -175,7 +175,7 @@ def _is_here(reference: str) -> bool:
 def _differing(
     rows: Sequence[Row], bank: BaselineResults, machine: dict[str, str]
 ) -> tuple[str, ...]:
-    """Return what differs from the results that a run on a class of machine is compared with."""
+    """Return what differs from the results that a run on a machine type is compared with."""
     from nw_gate.baseline.match import differences
 
     return differences(rows, bank.panel_of(machine) or bank.panels[0])

@@ -73,8 +73,8 @@ def prune_cache(limit_gb: float | None = None) -> CacheCleanup:
     """Remove the entries that have not been used for longest, until the cache is within a size.
 
     Args:
-        limit_gb: the size in GB, 0 for an empty cache; `NW_EVAL_CACHE_GB` or 5 if None, which every
-            run keeps to anyway.
+        limit_gb: the size in GB; 0 empties the cache (default: `NW_EVAL_CACHE_GB` or 5, which every
+            run applies anyway).
 
     Raises:
         StoreError: its folder cannot be used.

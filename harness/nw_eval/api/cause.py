@@ -64,10 +64,10 @@ def find_cause(
         baseline: a baseline, whose policy is the old one; or a policy.
         policy: where the baseline's policy lies, if not where the baseline says.
         checkpoint: weights in place of those that its card names.
-        trials: in each scene; the run's own number if None. More than it has are those that would
+        trials: in each scene (default: the run's own number). More than it has are those that would
             come next.
         allow_code: whether Python code that cards name may be imported.
-        out: a new folder; `cause` or `cause-<n>` in the run's folder if None.
+        out: a new folder (default: `cause` or `cause-<n>` in the run's folder).
         how: fields of `How` by name: workers, cache, listener.
 
     Raises:

@@ -32,11 +32,11 @@ def compare(
     They are compared on the starts that all have a result from. Nothing is judged.
 
     Args:
-        runs: folders of runs, and baselines by path or, beside a run, by name; each is compared
-            with the first by waypoints.
-        out: a Markdown page to write.
-        picture: a PNG of all scenes and policies to write.
-        confidence: of each interval alone, and of all ranks together.
+        runs: run folders, and baselines by path or, beside a run, by name. Each is compared with
+            the first.
+        out: write a Markdown page here.
+        picture: write a PNG of all scenes and policies here.
+        confidence: confidence level, per interval and jointly for ranks.
 
     Raises:
         UsageError: there are fewer than two, one is neither a run nor a baseline, or the confidence
@@ -88,7 +88,7 @@ def entrants(sources: Sequence[str | Path]) -> list[Entrant]:
 
 
 def _run(path: Path) -> tuple[RunInfo, Sequence[Row]] | None:
-    """Return a run's provenance and rows; None for what is no run's folder."""
+    """Return a run's provenance and rows; None for what is not a run folder."""
     from nw_eval.api.saved_run import saved_rows
     from nw_gate.results.provenance import read_run_info
     from nw_gate.results.run_folder import open_run_folder
@@ -104,21 +104,21 @@ def _run(path: Path) -> tuple[RunInfo, Sequence[Row]] | None:
 
 
 def _bank(source: str, runs: Sequence[RunInfo]) -> Entrant:
-    """Return a baseline, on the class of machine of the first run if it has been there."""
+    """Return a baseline, on the machine type of the first run if it has been there."""
     from nw_gate.results.bank import machine_of
     from nw_gate.results.bank_file import find_bank, read_bank
     from nw_gate.side_by_side import entrant_of_bank
 
     if not runs and "/" not in source and not source.endswith(".parquet"):
         raise UsageError(
-            f"{source} is no run's folder, and without a run no baseline is known by its name",
+            f"{source} is not a run folder, and without a run no baseline is known by its name",
             fix="name the baseline's file",
         )
     try:
         path = find_bank(source, suite=str(runs[0].suite.get("name", "")) if runs else "")
     except UsageError as error:
         raise UsageError(
-            f"{source} is no run's folder, and {error.message}", fix=error.fix
+            f"{source} is not a run folder, and {error.message}", fix=error.fix
         ) from None
     bank = read_bank(path)
     panel = (bank.panel_of(machine_of(runs[0])) if runs else None) or bank.panels[0]
@@ -138,11 +138,11 @@ def sim2real(
 
     Args:
         real: a CSV with the columns policy, scene, trials, success (0 to 1).
-        runs: folders of runs, and baselines by path or, beside a run, by name; those of other
-            policies may be among them.
-        confidence: of each interval.
-        score: a score of the runs in place of success; the CSV has a column of its name, in its
-            unit. Figures are of values within its range, 1 the best; gaps are in its unit.
+        runs: run folders, and baselines by path or, beside a run, by name; other policies are
+            ignored.
+        confidence: confidence level, per interval.
+        score: compare this score of the runs in place of success; the CSV has a column of that
+            name, in the score's unit. Gaps are in that unit.
 
     Raises:
         UsageError: the CSV is none, or names a policy or scene that no run has; there is no run;

@@ -1,6 +1,6 @@
 """A run against a baseline: what comes before its first trial, and after which trial it may end.
 
-On a class of machine that its baseline has not seen the baseline has trials of its own. They are a
+On a machine type that its baseline has not seen the baseline has trials of its own. They are a
 run of their own, `baseline/` in the folder of the candidate's: the baseline's policy from the
 starts that the candidate meets, in its order. The first of them show whether bits are the
 baseline's. If they are, nothing more of it runs. If not, the policy runs beside the candidate from
@@ -75,7 +75,7 @@ class Contest:
     def begin(self, own: Session, interrupts: Interrupts) -> RunInfo:
         """Return what run.json is to say once it is known what the baseline is to this machine.
 
-        On a class of machine that the baseline has no results of, some trials of its own policy run
+        On a machine type that the baseline has no results of, some trials of its own policy run
         first: they show whether bits are the baseline's.
 
         Args:
@@ -90,8 +90,8 @@ class Contest:
         if self._plan.is_baseline:
             count = plural(rechecks(self._plan.request), "initial state")
             self._how.told.message(
-                f"{policy} is the policy of baseline {name}: {count} of each scene re-run; if they "
-                "match, the other results come from the baseline"
+                f"{policy} is the policy of baseline {name}: {count} per scene re-run; if the "
+                "results match, the others come from the baseline"
             )
         elif not self._is_seen(run):
             run = self._looked_at(own, interrupts)
@@ -130,11 +130,11 @@ class Contest:
             beside.run([x for x in every if stop is None or stop.wants(x)], exactly=True)
 
     def _looked_at(self, own: Session, interrupts: Interrupts) -> RunInfo:
-        """Return run.json with what trials of the baseline show of this class of machine."""
+        """Return run.json with what trials of the baseline show of this machine type."""
         name, run = self._against.info.name, own.info
         self._how.told.message(
-            f"baseline {name} has not seen this class of machine, which is normal: its own policy "
-            "runs first as a check"
+            f"baseline {name} has no results for this machine type, which is normal: its own "
+            "policy runs first as a check"
         )
         self._beside = beside = self._cleanup.enter_context(
             Beside(self._plan, self._against, own, interrupts, self._how)
@@ -214,7 +214,7 @@ class Contest:
     def _of_recheck(self, ended: Mapping[int, Row], setup: ComparisonSetup) -> RunStanding | None:
         """Return what comes next of the baseline's own policy: some starts of each scene.
 
-        None where the baseline has not seen the class of machine, and bits are others: its trials
+        None where the baseline has not seen the machine type, and bits are others: its trials
         are judged against the baseline, and by the bar, as any candidate's are.
         """
         every = range(len(self._plan.trials))
@@ -419,7 +419,7 @@ def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
             f"baseline's {theirs[0][:8]} and {theirs[1][:8]}"
         )
     raise IncomparableError(
-        f"baseline {against.info.name} has not seen this class of machine, and its policy "
+        f"baseline {against.info.name} has no results for this machine type, and its policy "
         f"{own.name} cannot be run on it: {fault}",
         fix="name its card with --baseline-policy PATH, or save the baseline on this machine: "
         f"`{renewing(run, against.bank)}`",

@@ -26,7 +26,7 @@ def continued(run: Path, request: Request) -> Plan:
         request: what is asked for now; what it leaves out is as the run was begun.
 
     Raises:
-        StoreError: it is no run's folder, or its run.json is damaged.
+        StoreError: it is not a run folder, or its run.json is damaged.
         IncomparableError: its run.json does not say what was asked for.
         UsageError, SuiteError, PolicyError: as `plan_of`.
     """

@@ -38,7 +38,7 @@ def fetch_scene(
         reference: `hub:org/name[@revision]`, `neverwhere:NAME` for a scene of the release, or
             `real:NAME`.
         file: of `real:NAME`, the file itself, fetched on another machine; None = it is fetched.
-        listener: hears how far it is.
+        listener: receives how far it is.
 
     Raises:
         SceneError: there is no such scene, or it is none; or not for this user.
@@ -59,7 +59,7 @@ def fetch_policy(reference: str, *, listener: FetchListener | None = None) -> Fe
 
     Args:
         reference: `hub:org/name`, or `hub:org/name@revision`.
-        listener: hears how far it is.
+        listener: receives how far it is.
 
     Raises:
         PolicyError: there is no such policy, or it has no card; or not for this user.
@@ -82,7 +82,7 @@ def fetch_robot(reference: str, *, listener: FetchListener | None = None) -> Fet
 
     Args:
         reference: `hub:org/name`, `hub:org/name@revision`, or `menagerie:NAME`.
-        listener: hears how far it is.
+        listener: receives how far it is.
 
     Raises:
         RobotError: there is no such robot, or it cannot be used; or not for this user.
@@ -107,11 +107,11 @@ def push_scene(folder: Path, to: str, *, private: bool = False) -> PushedScene:
 
     Args:
         folder: the folder, with its scene.yaml.
-        to: `hub:org/name`; the repository is made if it is not there.
-        private: make a repository that only its owner sees.
+        to: `hub:org/name`; a missing repository is created.
+        private: create a private repository.
 
     Raises:
-        SceneError: it is no scene folder, or its health check finds errors; or the hub does not
+        SceneError: it is not a scene folder, or its health check finds errors; or the hub does not
             let this user.
         UsageError: `to` names a revision.
         FetchError: the hub cannot be reached or fails; nothing was changed.

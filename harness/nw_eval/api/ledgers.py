@@ -52,8 +52,8 @@ def read_ledger(file: str | Path, *, head: str | None = None) -> LedgerReport:
 
     Args:
         file: the ledger.
-        head: the head of an earlier report, kept elsewhere. A ledger without that line is refused:
-            its end was cut off, or it was written anew.
+        head: the head of an earlier report that you kept elsewhere. A ledger without that line was
+            truncated or rewritten, and is an error.
 
     Raises:
         StoreError: it is missing or damaged, or its end was cut off.

@@ -31,13 +31,13 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
     again.
 
     Args:
-        runs: the folders of all parts, in any order.
+        runs: the folders of all shards, in any order.
         out: the folder of the merged run.
-        baseline: the baseline to compare with: its name, its file, or `none`; if None that which
-            the parts were begun against, or else the one that the suite names for its own policy.
+        baseline: the baseline to compare with: a name, a file, or `none` (default: the baseline the
+            run was started with, else the suite's).
 
     Raises:
-        UsageError: there is nothing to merge, one is no run's folder or that of a whole run, there
+        UsageError: there is nothing to merge, one is not a run folder or that of a whole run, there
             is no such baseline, or `out` holds something else.
         IncomparableError: two are not parts of one run, each field is named; or, once the rows are
             merged, as `judge`.

@@ -388,7 +388,7 @@ def _matched(plan: Plan, against: Against) -> Plan:
 
     folder = RunFolder(path=Path(plan.suite.name))
     run = run_info(plan, folder, How())
-    # Whether this class of machine has the baseline's bits is found out by running something.
+    # Whether this machine type has the baseline's bits is found out by running something.
     known = against.info.model_copy(update={"checked": "bits"})
     setup = setup_of(run.model_copy(update={"baseline": known}), against, plan.suite.gate)
     if setup.basis != "same":
@@ -406,7 +406,7 @@ def check(
 
     Args:
         request: as for `plan`.
-        workers: processes to reckon with; one for each core if None.
+        workers: processes to reckon with (default: one for each core).
         changes: fields of `Request` by name.
 
     Raises:

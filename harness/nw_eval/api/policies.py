@@ -63,8 +63,8 @@ def show_policy(
     """Return what a card says: each term, each joint, whatever is not by default, its files.
 
     Args:
-        policy: a shipped bundle's name, a bundle's folder, a card, or `hub:org/name`.
-        robot: the folder of the robot that the card names; it is found by its name if None.
+        policy: a shipped policy's name, a policy folder, a card, or `hub:org/name`.
+        robot: the robot's folder (default: found by the card's robot name).
         checkpoint: weights to use with the card.
         allow_code: whether Python code that the card names may be imported.
 
@@ -118,10 +118,10 @@ def check_policy(
     A policy that follows a velocity command is also commanded ahead, sideways and in turns.
 
     Args:
-        policy: a shipped bundle's name, a bundle's folder, a card, or `hub:org/name`.
-        robot: the folder of the robot that the card names; it is found by its name if None.
+        policy: a shipped policy's name, a policy folder, a card, or `hub:org/name`.
+        robot: the robot's folder (default: found by the card's robot name).
         checkpoint: weights to use with the card.
-        scene: where; a flat room if None, the only place where commands are tried, too.
+        scene: the scene (default: a flat room, the only one in which commands are tested).
         allow_code: whether Python code that the card names may be imported.
 
     Raises:
@@ -152,14 +152,13 @@ def init_policy(
     size that it may have, in a confined process.
 
     Args:
-        checkpoint: an ONNX, TorchScript, torch.export, safetensors or state-dict file, or what a
-            training saves: rsl_rl, skrl, rl_games, CleanRL, Stable-Baselines3, brax or flax. Of a
-            folder, such as a training's, the newest step is taken.
-        robot: the robot that the policy drives: a name such as go1, or the path of a folder.
-        out: the card to write, a file and no folder; `policy.yaml` beside the checkpoint or in its
-            folder if None.
-        layout: the published layout of what the policy sees, such as isaac-lab; the likeliest if
-            None. The card names those that fit.
+        checkpoint: an ONNX, TorchScript, torch.export, safetensors or state-dict file, or a
+            training checkpoint: rsl_rl, skrl, rl_games, CleanRL, Stable-Baselines3, brax or flax.
+            For a folder, the newest step is used.
+        robot: the robot that the policy controls: a name such as go1, or a folder.
+        out: the card to write (default: `policy.yaml` beside the checkpoint or in its folder).
+        layout: the published observation layout, such as isaac-lab (default: the most likely one).
+            The card lists the layouts that fit.
 
     Raises:
         PolicyError: the file cannot be read, could run code, holds an unknown network, does not fit
@@ -241,14 +240,14 @@ def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
     """Write a checkpoint of several files as one file, without running it.
 
     Args:
-        checkpoint: an ONNX file whose weights lie in a second file beside it, or the folder of a
-            step that Orbax saved, which becomes a safetensors file.
+        checkpoint: an ONNX file with its weights in a second file, or the folder of an Orbax step,
+            which becomes a safetensors file.
         out: the file to write.
 
     Raises:
         PolicyError: it cannot be read, or is not safe to run.
         PrerequisiteError: it is of Orbax, and the extra `orbax` is not installed.
-        UsageError: `out` exists already, or is no file's path.
+        UsageError: `out` exists already, or is not a file's path.
         StoreError: `out` cannot be written.
     """
     from nw_base.files.cache import followed
@@ -286,9 +285,9 @@ def serve_policy(
     """Serve a policy over a websocket, for `adapter: remote`, while the context lasts.
 
     Args:
-        policy: a shipped bundle's name, a bundle's folder, a card, or `hub:org/name`.
+        policy: a shipped policy's name, a policy folder, a card, or `hub:org/name`.
         checkpoint: weights to use with the card.
-        host: address to listen on; whoever reaches it can use the policy.
+        host: address to listen on; anyone who can reach it can use the policy.
         port: port to listen on; 0 chooses a free one.
         allow_code: whether Python code that the card names may be imported.
         confined: raise the fence round this process, for good; for one that does nothing else.

@@ -35,8 +35,8 @@ def replay(
         allow_code: whether Python code that the card names may be imported.
 
     Raises:
-        UsageError: there is no such file, `start` is no time, `video` ends otherwise, or the scene
-            has changed.
+        UsageError: there is no such file, `start` is not a time, `video` ends otherwise, or the
+            scene has changed.
         PrerequisiteError: the extra `video` is not installed, and one is asked for.
         StoreError: the log cannot be read, or picture or video not written.
         PolicyError: the policy is missing or not the recorded one.
@@ -76,15 +76,15 @@ def take_over(
     Args:
         log: the trial's MCAP file.
         start: seconds from the trial's beginning at which it takes over.
-        policy: the bundle that does; the recorded one if None.
+        policy: the policy that takes control (default: the recorded one).
         checkpoint: weights in place of those that its card names.
         out: where the log of the new trial goes, which `replay` takes too; None = nowhere.
         video: where to film all of it, an MP4; None = nowhere.
         allow_code: whether Python code that the card names may be imported.
 
     Raises:
-        UsageError: there is no such file, `start` is no time in the trial, `video` ends otherwise,
-            or the scene has changed.
+        UsageError: there is no such file, `start` is not a time in the trial, `video` ends
+            otherwise, or the scene has changed.
         PrerequisiteError: the extra `video` is not installed, and one is asked for.
         StoreError: the log cannot be read, does not lead that far, or goes another way here; log or
             video cannot be written.
@@ -121,13 +121,14 @@ def log_scores(
     A robot's log, MCAP or the MCAP file of a ROS 2 bag, gives the scores that its topics allow.
 
     Args:
-        log: a trial's MCAP file, or one with joint states and commands of a robot, or a bag's
+        log: a trial's MCAP file, a robot's MCAP file with joint states and commands, or a bag
             folder.
-        scores: which scores; all, the task's own among them, if none is named.
-        robot: whose log it is, if it is not that of a run.
-        topics: of a robot's log: `joints=NAME`, `targets=NAME`, `pose=NAME`, `command=NAME`, in
-            place of those that are found by what their messages are.
-        allow_code: let scores that are Python functions of the run's suite run; its log holds them.
+        scores: scores to compute (default: all, with the task's own).
+        robot: the robot of the log, if it is not a run's.
+        topics: for a robot's log: `joints=NAME`, `targets=NAME`, `pose=NAME` or `command=NAME`
+            (default: found by message type).
+        allow_code: allow scores that are Python functions of the run's suite, which the log
+            contains.
 
     Raises:
         CodeError: such a function is asked for, and may not run.

@@ -101,8 +101,8 @@ def report(run: str | Path, *, out: Path | None = None) -> RunReport:
 
     Args:
         run: the run's folder.
-        out: of the page in Markdown, or of that in HTML; the other one is written beside it. The
-            run's own report.md and report.html if None.
+        out: the Markdown file to write, with an HTML page beside it (default: the run's report.md
+            and report.html).
 
     Raises:
         StoreError: there is no such run, its rows are damaged, or the report cannot be written.
@@ -156,7 +156,7 @@ def as_begun(run: str | Path) -> RunReport:
     RAN.
 
     Raises:
-        UsageError: it is no run's folder.
+        UsageError: it is not a run folder.
         StoreError: its run.json or its rows are damaged.
     """
     from nw_eval.api.banks import kept_bank
@@ -182,7 +182,7 @@ def as_published(run: Path) -> RunReport:
     may be absent. No link is followed, nothing is written there, and nothing outside is read.
 
     Raises:
-        UsageError: it is no run's folder.
+        UsageError: it is not a run folder.
         StoreError: a file of it is none of its own, damaged, or not as it was when the run ended.
     """
     from nw_eval.api.banks import kept_bank
@@ -231,16 +231,16 @@ def judge(
     """Judge the rows that a run has, by its suite's bar and against a baseline.
 
     Args:
-        run: the folder of a run, which may go on, or have been interrupted.
-        baseline: the baseline to compare with: its name, its file, or `none`; if None that which
-            the run was begun against, or else the one that its suite names for its own policy.
-        max_drop: drop of mean success against the baseline that must not pass; the suite's own if
-            None.
-        tolerate: drop against the baseline that must not be REGRESSED; the suite's own if None.
-        out: where to write the report in Markdown, with a page in HTML beside it; nowhere if None.
+        run: the folder of a run, finished, unfinished or interrupted.
+        baseline: the baseline to compare with: a name, a file, or `none` (default: the baseline the
+            run was started with, else the suite's).
+        max_drop: drop in mean success that a PASS must rule out (default: the suite's).
+        tolerate: largest drop in mean success that is still accepted (default: the suite's).
+        out: write the report to this Markdown file, with an HTML page beside it (default: write
+            none).
 
     Raises:
-        UsageError: it is no run's folder or that of a part of a run, there is no such baseline, or
+        UsageError: it is not a run folder or that of a part of a run, there is no such baseline, or
             a drop is none.
         IncomparableError: the baseline does not hold for the run, or has too few starts for it.
         StoreError: its rows or the baseline are damaged, or the report cannot be written.

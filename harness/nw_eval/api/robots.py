@@ -77,7 +77,7 @@ def show_robot(robot: str) -> RobotSummary:
     """Return all that is known of a robot, and which line says what.
 
     Args:
-        robot: a name, or the path of a folder with a robot.yaml.
+        robot: a name, or a folder with a robot.yaml.
 
     Raises:
         UsageError: there is no such robot.
@@ -96,8 +96,8 @@ def init_robot(model: Path, *, out: Path | None = None) -> RobotDraft:
 
     Args:
         model: MJCF (.xml) or URDF (.urdf).
-        out: a new folder to copy model and meshes into, and to write robot.yaml into; folders above
-            it are made.
+        out: a new folder for copies of model and meshes and for robot.yaml; parent folders are
+            created.
 
     Raises:
         RobotError: the model is no robot that can be driven.
@@ -146,8 +146,8 @@ def check_robot(robot: str, *, out: Path | None = None) -> CheckedRobot:
     """Stand a robot on level ground for 2 s in its pose, with its gains, in a confined process.
 
     Args:
-        robot: a name, or the path of a folder with a robot.yaml.
-        out: the PNG to write, if any: the robot from outside and from its eye.
+        robot: a name, or a folder with a robot.yaml.
+        out: the PNG to write: the robot from outside and through its camera.
 
     Raises:
         UsageError: there is no such robot.

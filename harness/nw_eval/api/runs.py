@@ -44,7 +44,7 @@ def run(
     Args:
         request: what to run, or only its suite: a file or the name of a shipped one; None only
             with `resume`.
-        out: the run's folder; a new one in `reports/` if None.
+        out: the run's folder (default: a new one in `reports/`).
         resume: the folder of an interrupted run, whose finished trials are kept. What the request
             does not ask for is as the run was begun, but for leave to run code.
         changes: fields of `Request` and of `How` by name.
@@ -79,7 +79,7 @@ def roll_out(
     Args:
         plan: what is to be run.
         how: how it is run.
-        out: the run's folder; a new one in `reports/` if None.
+        out: the run's folder (default: a new one in `reports/`).
         resume: the folder of an interrupted run.
 
     Raises:
@@ -192,7 +192,7 @@ def judged(folder: RunFolder, *, how: Callable[[Path], RunReport] | None = None)
     try:
         with TracebackIn(folder.path):
             outcome = report_here(folder.path, how=how)
-    except UsageError:  # As if nothing had run: it is no run's folder any more.
+    except UsageError:  # As if nothing had run: it is not a run folder any more.
         Presence(folder.journal).check()
         raise
     # Writing a report into a folder that was removed makes it anew.
@@ -237,7 +237,7 @@ def evaluate(
         card: what an object sees and what its actions mean: at least `control`, and `observations`
             for one that looks. A mapping gets robot and name from the suite and the object.
         version: which policy an object is, such as its step or the hash of its weights.
-        out: the run's folder; a new one in `reports/` if None.
+        out: the run's folder (default: a new one in `reports/`).
         changes: fields of `Request` by name, such as trials, scenes, record and seed, `labels` and
             `listener`; for a policy by name whatever `run` takes. The suite's own baseline counts
             for the suite's own policy by name; `baseline` names one for any other.

@@ -176,7 +176,7 @@ def read_rows(run: str | Path) -> pd.DataFrame:
         `success` is missing where a trial ended in an error, which says nothing about the policy.
 
     Raises:
-        UsageError: it is no run's folder.
+        UsageError: it is not a run folder.
         StoreError: its rows are damaged.
     """
     import pandas as pd

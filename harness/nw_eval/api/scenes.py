@@ -68,8 +68,8 @@ def list_scenes(
     """Return the scenes that match one of some globs; all built-in ones without any.
 
     Args:
-        patterns: names or globs; every built-in scene without any.
-        robot: say what the steps and gaps of each scene ask of this robot's legs.
+        patterns: names or globs (default: all built-in scenes).
+        robot: show the steps and gaps of each scene that this robot's legs must pass.
 
     Raises:
         SceneError: a pattern matches nothing.
@@ -103,7 +103,7 @@ def show_scene(reference: str, *, out: Path | None = None) -> SceneFigures:
     Args:
         reference: a built-in name, a scene folder, `neverwhere:<folder or published name>`, or
             `hub:org/name`.
-        out: a PNG of the view from above; none is drawn if None.
+        out: draw the view from above into this PNG (default: draw none).
 
     Raises:
         SceneError: there is no such scene, or it cannot be read.
@@ -131,9 +131,9 @@ def check_scenes(
     Args:
         references: built-in names, scene folders, `neverwhere:<folder or published name>`, or
             `hub:org/name`.
-        robot: whose feet, camera and length count.
-        out: write a suite of them to this file, ready to run, unless one of them has errors.
-        policy: of that suite; one that nw-eval has a card of for the robot if None.
+        robot: the robot whose feet, camera and legs are used.
+        out: write a suite of the scenes to this file if no scene has errors.
+        policy: the suite's policy (default: one that has a card for the robot).
 
     Raises:
         UsageError: no scene is named, so nothing would be checked; the suite is there already; or a
@@ -180,10 +180,10 @@ def render_scenes(
     """Draw scenes from the robot's eye and from outside into one PNG, and return its path.
 
     Args:
-        patterns: names or globs; every built-in scene without any.
+        patterns: names or globs (default: all built-in scenes).
         out: the PNG to write.
         width: pixels across each view.
-        listener: hears how far splats have been built.
+        listener: receives how far splats have been built.
 
     Raises:
         SceneError: no such scene.
@@ -206,8 +206,8 @@ def warmup(scenes: Sequence[str] = (), *, listener: Listener | None = None) -> W
     """Compile the kernels into the cache, and build the splats of scenes ahead.
 
     Args:
-        scenes: names or globs of scenes to build as well.
-        listener: hears how far splats have been built.
+        scenes: names or globs of scenes to build, too.
+        listener: receives how far splats have been built.
 
     Raises:
         SceneError: a pattern matches nothing, or a splat cannot be made.

@@ -13,8 +13,8 @@ def schema(kind: Described, *, out: Path | None = None) -> dict[str, Any]:
     """Return the JSON Schema of suites, cards, `scene.yaml`, or a scene's file of boxes.
 
     Args:
-        kind: which kind of file: a suite, a policy's card, scene.yaml, or a scene's file of boxes.
-        out: where to write it as JSON as well; None = nowhere.
+        kind: the kind of file: a suite, a policy card, scene.yaml, or a scene's box file.
+        out: also write it here as JSON (default: write none).
 
     Raises:
         StoreError: it cannot be written.

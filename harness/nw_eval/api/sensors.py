@@ -51,10 +51,9 @@ def draw_sensors(
     """Draw what a card's sensors see in a scene, or one frame of every built-in sensor.
 
     Args:
-        policy: a bundle's name, folder or card; every built-in sensor if None, with their numbers
-            on the picture only.
-        scene: where to look: a scene's name or folder.
-        out: the PNG to write, unless no observation of the card is an image.
+        policy: a policy's name, folder or card (default: all built-in sensors).
+        scene: the scene's name or folder.
+        out: the PNG to write, if an observation of the card is an image.
         allow_code: whether Python code that the card names may be imported.
 
     Raises:

@@ -76,16 +76,16 @@ def bisect(
 
     Args:
         suite: a suite file or the name of a shipped one.
-        checkpoints: the series between the good and the bad one, in order of age.
-        good: a baseline, or the checkpoint before the series, of which a baseline is saved first.
+        checkpoints: the series between the good and the bad one, oldest first.
+        good: a baseline, or the checkpoint before the series; its baseline is saved first.
         bad: the checkpoint after the series.
-        policy: whose card the weights are for; the suite's own policy if None.
-        everyone: judge every checkpoint: searching alone seldom sees that a series is not monotone.
-        baseline_trials: trials in each scene of a baseline that is saved; as `baseline save` takes
-            if None.
-        out: the folder of the runs, in which an interrupted search goes on;
-            `reports/bisect-<suite>` if None.
-        progress: hears which checkpoint is judged, and its verdict.
+        policy: card that describes these checkpoints (default: the suite's policy).
+        everyone: test every checkpoint: a search alone rarely detects a series that is not
+            monotone.
+        baseline_trials: trials per scene of a new baseline (default: as `baseline save`).
+        out: the folder of the runs; an interrupted search there is resumed (default:
+            `reports/bisect-<suite>`).
+        progress: receives the checkpoint that is tested, and its verdict.
         changes: of `Request`: scenes, trials (the most of each scene, on average), seed, render,
             time_limit, memory_limit...; of `How`: workers, cache, listener.
 
@@ -222,7 +222,7 @@ def _bank_of(good: str | Path, request: Request, suite: str, starts: int | None,
     )
     if saved.action == "kept":
         raise IncomparableError(
-            f"{saved.file} is there already, and is no baseline of {good} as it is here",
+            f"{saved.file} is there already, and is not a baseline of {good} as it is here",
             fix="rename the checkpoint or remove the baseline, or name a baseline with --good",
         )
     return str(saved.file)
@@ -288,7 +288,7 @@ def _finding(run: RunReport) -> Decision:
             f"{run.typed_folder}: {'; '.join(verdict.reasons)}",
             fix=f"remove {run.typed_folder}, and give the same command again"
             if is_wrong
-            else "the same command goes on with what is missing",
+            else "run the same command again to resume",
         )
     words = (verdict.against.word, *(item.word for item in verdict.scores))
     if "REGRESSED" in words:

@@ -85,9 +85,8 @@ def index_runs(
 
     Args:
         runs: their folders.
-        out: where to write the page; if None, `index.html` in the folder that all of them lie in.
-            Those of the runs are in a folder beside it: of `index.html`, in `index-runs`.
-        title: of the page; how many runs there are if None.
+        out: where to write the page (default: `index.html` in the folder that contains all runs).
+        title: of the page (default: the number of runs).
         pictures: whether built-in scenes are drawn, by their splats.
 
     Raises:
@@ -298,7 +297,7 @@ def _emptied(out: Path) -> Path:
                 ours = json.loads(regular(mark).read_text(encoding="utf-8")) == {"nw-site": 1}
             if not ours or (out / REPORTS).is_symlink():
                 raise UsageError(
-                    f"{out} holds something that is no site of nw-eval", fix="give a new folder"
+                    f"{out} holds something that is not an nw-eval site", fix="give a new folder"
                 )
             shutil.rmtree(out / REPORTS, ignore_errors=True)
             for old in (out / PAGE, out / RUNS_PAGE, *out.glob(f"{BADGE}*.json")):
@@ -359,13 +358,17 @@ def _sections(
     """Return runs that compare with one another, each in a section; some may be left out."""
     from nw_eval.api.reports import fault_of
     from nw_eval.reporting.html.board import BoardRun, BoardSection
+    from nw_eval.reporting.tables.policy_name import policy_digest, policy_name
     from nw_gate.side_by_side import entrant_of_run
 
     groups: list[_Group] = []
     stopped: list[tuple[RunReport, Entrant]] = []
     for run in judged:
         try:
-            entrant = entrant_of_run(run.folder.name, run.info, run.rows)
+            entrant = replace(
+                entrant_of_run(policy_digest(run.info.policy), run.info, run.rows),
+                policy=policy_name(run.info.policy),
+            )
         except Exception as error:  # noqa: BLE001 - As for reading it.
             left_out.append(f"{clean(run.folder.name)}: {fault_of(error)}")
             continue

@@ -22,8 +22,8 @@ def splat_info(source: str | Path) -> SplatFigures:
     """Return what a file of Gaussians or a built-in scene holds: counts, bounds, sizes, opacities.
 
     Args:
-        source: 3DGS or compressed PLY, SPZ, SOG, .splat, gsplat .pt, a nerfstudio export's folder,
-            a file of nw-eval's cache, or the name of a built-in scene.
+        source: 3DGS or compressed PLY, SPZ, SOG, .splat, gsplat .pt, a nerfstudio export folder, a
+            file of nw-eval's cache, or the name of a built-in scene.
 
     Raises:
         SceneError: it cannot be read.
@@ -37,8 +37,8 @@ def splat_convert(source: str | Path, out: Path) -> WrittenSplat:
     """Write the Gaussians of a file or of a built-in scene.
 
     Args:
-        source: a file of Gaussians, or the name of a built-in scene, which comes in world metres.
-        out: what to write; its suffix says the format.
+        source: a Gaussian-splat file, or the name of a built-in scene (in world metres).
+        out: the file to write; its suffix selects the format.
 
     Raises:
         SceneError: they cannot be read, or do not fit the new format.
@@ -66,18 +66,18 @@ def splat_render(
     A PNG is a still from one pose, a GIF or MP4 a turn.
 
     Args:
-        source: a file of Gaussians, or the name of a built-in scene.
-        out: what to write: .png, .gif or .mp4.
+        source: a Gaussian-splat file, or the name of a built-in scene.
+        out: the file to write: .png, .gif or .mp4.
         size: pixels across and down.
-        up: upward axis of a file; built-in scenes have +z.
-        eye: where the camera stands, and a turn looks round from, in the file's own frame or the
-            scene's world; chosen if None.
-        target: what a PNG's camera looks at, for which an eye must be given, too; the middle of a
-            file, or straight ahead in a scene, if None.
-        frames: frames of a turn: around a file, or round a scene's course within its walls.
-        backend: the renderer. There is no silent fallback.
-        projection: how Gaussians become pixels: each along the pixel's own ray, or by EWA as gsplat
-            does.
+        up: up axis of a file; built-in scenes use +z.
+        eye: camera position, or start of a turn, in the file's frame or the scene's world (default:
+            chosen).
+        target: point that a PNG's camera looks at; needs --eye (default: the middle of a file, or
+            straight ahead in a scene).
+        frames: frames of a turn around a file, or along a scene's course.
+        backend: the renderer; it never falls back to another one.
+        projection: how Gaussians are projected: ray evaluates each along the pixel's ray; ewa
+            approximates as gsplat does.
 
     Raises:
         SceneError: the source cannot be read.

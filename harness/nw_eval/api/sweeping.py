@@ -62,7 +62,7 @@ def sweep(
     Args:
         request: suite, policy, trials, scenes and seed as for `run`; neither shard nor baseline.
         axes: such as `friction=0.3..1.2` (7 values), `payload=0..6:4`, `push=0,0.5,1`.
-        out: a new or empty folder; `reports/<suite>-sweep-<number>` if None.
+        out: a new or empty folder (default: `reports/<suite>-sweep-<number>`).
         baseline: another policy, which meets the same trials.
         confidence: of each interval alone, and of all comparisons along a curve together.
         how: fields of `How` by name: workers, cache, listener.

@@ -88,13 +88,13 @@ def plan_trials(
 
     Args:
         suite: a file, the name of a shipped one, or one that was read already.
-        detect: drop of mean success; the suite's `gate.max_drop` if None.
-        baseline: the baseline to compare with, by name or path; if None the suite's, or the only
-            one that there is of it.
+        detect: drop of mean success (default: the suite's `gate.max_drop`).
+        baseline: the baseline to compare with, by name or path (default: the suite's, else its only
+            one).
         run: a run's folder instead of a baseline: what it scored is taken for the baseline's
             success.
         out: file to draw the curve into.
-        workers: processes to reckon minutes with; one for each core if None.
+        workers: processes assumed for the estimate in minutes (default: one per core).
 
     Raises:
         UsageError: there is neither a baseline nor a run, the run is a part of one, or no policy
@@ -289,7 +289,7 @@ def _check(resolved: Plan, source: str, suite_digest: str, scenes: Mapping[str, 
         return
     raise IncomparableError(
         f"{source} is not of suite {suite.name!r} as it is: {fault}",
-        fix=f"make it anew with `nw-eval run {suite.name}` or `nw-eval baseline save {suite.name}`",
+        fix=f"repeat it with `nw-eval run {suite.name}` or `nw-eval baseline save {suite.name}`",
     )
 
 
@@ -315,7 +315,7 @@ def plan_shards(
     Args:
         request: as for `plan`.
         shards: how many parts.
-        workers: processes of each part to reckon with; one for each core if None.
+        workers: processes of each shard assumed for the estimate (default: one per core).
         changes: fields of `Request` by name.
 
     Raises:

@@ -74,20 +74,20 @@ def verify(
     Nothing is written into the run's folder.
 
     Args:
-        run: the folder of a run, which may go on, or have been interrupted.
-        offline: look at its files only, and run nothing.
-        trials: run again so many of the trials that have a result, or such a share of them, at
-            least one; 5% by default.
-        seed: the seed that an earlier verification told, to draw its trials again; one that cannot
-            be predicted if None.
-        root: the Merkle root that the run ended with, if you have kept it elsewhere.
-        policy: the bundle that made it, where it has moved since, or is served elsewhere.
-        checkpoint: the weights that were used in place of the card's, where they have moved since.
+        run: the folder of a run, finished, unfinished or interrupted.
+        offline: check the files only; re-run nothing.
+        trials: how many trials to re-run, or which share of them, such as `5%`; at least one
+            (default: 5%).
+        seed: the seed that an earlier verification printed, to draw the same trials (default:
+            random).
+        root: the Merkle root that the run ended with, if you kept it elsewhere.
+        policy: the policy, if it moved or is served elsewhere.
+        checkpoint: the checkpoint that replaced the card's, if it moved.
         allow_code: whether Python code that the policy's card names may be imported.
         how: fields of `How` by name: workers, listener.
 
     Raises:
-        UsageError: it is no run's folder, or an argument is of no use.
+        UsageError: it is not a run folder, or an argument is of no use.
         StoreError: its run.json is damaged, or contradicts itself.
     """
     from nw_eval.api.saved_run import saved_suite, saved_trials

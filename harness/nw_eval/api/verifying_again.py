@@ -88,7 +88,7 @@ def _plan(folder: RunFolder, info: RunInfo, request: Request) -> Plan:
     if request.policy is None and not info.policy.card:
         raise PolicyError(
             f"policy {info.policy.name!r} was an object of the process that ran it",
-            fix="name a bundle that does the same with --policy",
+            fix="give the same policy with --policy",
         )
     plan = continued(folder.path, request)
     if request.policy is None and plan.bundle.card.adapter == "remote":
@@ -103,7 +103,7 @@ def _plan(folder: RunFolder, info: RunInfo, request: Request) -> Plan:
         )
     if differences := JournalHeader.of_run(info).differences(journal_header(plan)):
         raise IncomparableError(
-            f"trials cannot be compared bit for bit here: {', '.join(differences)} changed",
+            f"trials cannot be compared exactly here: {', '.join(differences)} changed",
             fix="verify the run with the nw-eval and on the kind of machine that made it",
         )
     return plan

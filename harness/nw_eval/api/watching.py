@@ -140,21 +140,22 @@ def watch(
     one. Page and table are written after each.
 
     Args:
-        folder: the folder that a training writes to. Its checkpoints are files below it with a
-            number in their name, or in their folder's: `model_1500.pt`.
+        folder: the folder that a training writes to. Checkpoints are files below it with a number
+            in their name or their folder's name: `model_1500.pt`.
         suite: a suite file or the name of a shipped one.
-        policy: whose card the weights are for: a bundle's name or folder, or a card; the suite's
-            own policy if None.
+        policy: card that describes these checkpoints: a policy's name or folder, or a card
+            (default: the suite's policy).
         pattern: only files whose names match this glob.
-        every: evaluate each n-th step, from the first.
-        once: end when all checkpoints that are there have been evaluated.
-        idle: end when for so many seconds no new one has appeared; only Ctrl-C or SIGTERM ends it
-            if None.
-        interval: seconds between two looks. A file is taken when two looks find it unchanged.
-        out: the folder of runs, table and page, in which a watch that ended goes on;
-            `reports/watch-<suite>-<folder>` if None.
+        every: evaluate every n-th step, from the first.
+        once: exit when all existing checkpoints are evaluated.
+        idle: exit after this many seconds without a new checkpoint (default: run until Ctrl-C or
+            SIGTERM).
+        interval: seconds between two scans of the folder. A file is evaluated when two scans find
+            it unchanged.
+        out: the folder of runs, table and page; an earlier watch there is resumed (default:
+            `reports/watch-<suite>-<folder>`).
         where: trackers that show each run at its training step.
-        progress: hears of each checkpoint that was evaluated.
+        progress: receives each checkpoint that was evaluated.
         changes: of `Request`: trials, scenes, record, render, time_limit, memory_limit, allow_code;
             of `How`: workers, cache, listener.
 
@@ -169,7 +170,9 @@ def watch(
 
     folder = Path(folder)
     if not folder.is_dir():
-        raise UsageError(f"{folder} is no folder", fix="name the folder that a training writes to")
+        raise UsageError(
+            f"{folder} is not a folder", fix="name the folder that a training writes to"
+        )
     if every < 1 or not interval > 0.0 or (idle is not None and not idle >= 0.0):
         raise UsageError(
             f"every {every}, interval {interval:g}, idle {idle}: one is too low",

@@ -1,7 +1,7 @@
 """The command line: `verbs`, a small module each; all of them call `nw_eval.api`.
 
 Exit codes: 0 PASS or RAN (a suite without a bar), 1 REGRESSED, 2 usage, suite, scene or policy
-error, 3 INCONCLUSIVE, 4 errors left or trials missing, 5 not comparable, 130 interrupted.
+error, 3 INCONCLUSIVE, 4 infrastructure error, 5 invalid comparison, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_DESCRIPTION = """Says whether a checkpoint of a legged robot's policy may ship: runs it in
-simulated scenes, synthetic ones that are built in or scans of yours, measures
-what it does, and gives a verdict as an exit code."""
+_DESCRIPTION = """Decides whether a legged-robot policy checkpoint is good enough to ship.
+It evaluates the checkpoint in simulated scenes, synthetic ones or scans, and
+returns a verdict as an exit code."""
 
 
 def main(argv: Sequence[str] | None = None) -> None:

@@ -365,11 +365,11 @@ def _plain(path: Path | str, folder: int | None = None) -> Generator[BufferedRea
 
     Raises:
         OSError: it is a link, or cannot be read.
-        ValueError: it is no plain file.
+        ValueError: it is not a regular file.
     """
     with os.fdopen(os.open(path, _PLAIN, dir_fd=folder), "rb") as stream:
         if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
-            raise ValueError("it is no plain file")
+            raise ValueError("it is not a regular file")
         yield stream
 
 

@@ -52,7 +52,7 @@ class How:
                 fix=nearest(str(self.engine), get_args(Engine)),
             )
         if self.address is not None and self.engine != "ray":
-            raise UsageError(f"--address {self.address} is of no use here", fix="add --engine ray")
+            raise UsageError(f"--address {self.address} has no effect here", fix="add --engine ray")
 
     @classmethod
     def taken_from(cls, changes: dict[str, Any], *names: str) -> Self:
@@ -83,7 +83,7 @@ class How:
 
     @property
     def told(self) -> Listener:
-        """Who hears of progress, if only one that does nothing."""
+        """Receives progress events, if only to ignore them."""
         return self.listener or NullListener()
 
     @property

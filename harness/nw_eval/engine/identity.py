@@ -1,4 +1,4 @@
-"""What computes the results of a run, and whose policy it is: it tells classes of machine apart."""
+"""What computes the results of a run, and whose policy it is: it tells machine types apart."""
 
 from __future__ import annotations
 

@@ -257,7 +257,7 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
 
     Args:
         plan: what would be run.
-        workers: processes; one for each core if None.
+        workers: processes (default: one for each core).
     """
     trials = Counter(trial.scene for trial in _expected(plan))
     return Forecast(
@@ -323,7 +323,7 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
 
 
 def _scores_it_lacks(plan: Plan, against: Against) -> tuple[str, ...]:
-    """Return which gated scores a baseline was saved without, that holds on this class of machine.
+    """Return which gated scores a baseline was saved without, that holds on this machine type.
 
     On another one its policy runs beside the candidate, and is measured, too.
     """
@@ -465,7 +465,7 @@ def minutes_of(trials: float, plan: Plan, *, workers: int | None = None) -> floa
     Args:
         trials: how many, whatever the plan has.
         plan: whose suite and policy they are of.
-        workers: processes; one for each core if None.
+        workers: processes (default: one for each core).
     """
     sees = bool(plan.bundle.card.splat_images) or plan.suite.record == "all"
     each = (_SEEING if sees else _BLIND) * plan.suite.episode.duration

@@ -79,7 +79,7 @@ def open_backend(
 
     Args:
         render: the splat renderer.
-        listener: hears what took long.
+        listener: receives what took long.
         is_fenced: whether workers are forked, with kernels if there are any.
         surfaces: whether rays meet splats, which has kernels of its own.
         kernels: which of the CPU's are needed.
@@ -155,7 +155,7 @@ class SplatBuilders:
             ones, are left out.
         count: how many builds at a time, at most.
         on_demand: whether a trial can begin before its scene is built.
-        listener: hears how far each is, in threads, one at a time.
+        listener: receives how far each is, in threads, one at a time.
     """
 
     def __init__(

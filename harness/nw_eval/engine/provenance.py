@@ -61,7 +61,7 @@ def run_info(
         plan: what is to be run.
         folder: of the run, absolute.
         how: how it is run.
-        workers: processes that it has; one for each core if None.
+        workers: processes that it has (default: one for each core).
     """
     suite = plan.suite
     return RunInfo(

@@ -94,7 +94,7 @@ class Joined:
         if self.is_lost:
             raise TrialError(
                 f"the head of the cluster has not answered for {_ABSENCE:.0f} s",
-                fix="--resume goes on with the run, on this machine or another cluster",
+                fix="resume with --resume, on this machine or another cluster",
             )
         return False
 
@@ -123,7 +123,7 @@ def joined(address: str, *, cores: int | None) -> Generator[Joined]:
 
     Args:
         address: `HERE`, `auto`, `host:port` or `ray://host:port`.
-        cores: workers of a cluster that is started here; one for each core if None.
+        cores: workers of a cluster that is started here (default: one for each core).
 
     Raises:
         PrerequisiteError: Ray is not installed.
@@ -226,7 +226,7 @@ def _check_answers(address: str) -> None:
         raise _unusable(address, error) from None
     if not host or parts.scheme not in {"", "ray"}:
         raise UsageError(
-            f"--address {address!r} is no address of a Ray cluster",
+            f"--address {address!r} is not an address of a Ray cluster",
             fix="give auto, host:port of its head, or ray://host:port",
         )
     port = port or (_CLIENT_PORT if parts.scheme else _HEAD_PORT)

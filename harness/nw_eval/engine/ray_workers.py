@@ -67,7 +67,7 @@ class RayProcesses:
         jobs: all of the run.
         folder: of the run.
         joined: the cluster.
-        listener: hears of nodes that are refused or lost.
+        listener: receives nodes that are refused or lost.
 
     Raises:
         UsageError: what the run needs cannot be sent, or rendered there.

@@ -88,7 +88,7 @@ class Attempts:
     arm: Arm = "candidate"
     """Whether the policy is the one that is judged, for rows."""
     wanted_workers: int | None = None
-    """How many; one for each core if None."""
+    """How many (default: one for each core)."""
     listener: Listener = field(default_factory=NullListener)
     """Hears of progress."""
     known: KnownTrials | NothingKnown = field(default_factory=NothingKnown)

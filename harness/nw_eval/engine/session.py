@@ -100,7 +100,7 @@ def carry_out(
     Args:
         plan: what is to be run.
         how: how it is run.
-        out: the run's folder; a new one in `reports/` if None.
+        out: the run's folder (default: a new one in `reports/`).
         resume: the folder of an interrupted run, whose finished trials are kept.
         contest: the plan against its baseline; None = all trials run.
         meanwhile: called in a thread while trials run in other processes; it raises nothing.
@@ -145,7 +145,7 @@ class Session:
         plan: what is to be run.
         how: how it is run.
         interrupts: hears signals while trials run.
-        out: the run's folder; a new one in `reports/` if None.
+        out: the run's folder (default: a new one in `reports/`).
         resume: the folder of an interrupted run, whose finished trials are kept.
         meanwhile: called in a thread while trials run in other processes; it raises nothing.
 

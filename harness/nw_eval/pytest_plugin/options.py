@@ -20,13 +20,13 @@ Inconclusive = Literal["fail", "xfail", "pass"]
 _WORDS: tuple[Inconclusive, ...] = get_args(Inconclusive)
 
 _TWINS = {
-    "policy": "the policy to judge: a shipped bundle's name, a folder, or a card",
-    "checkpoint": "weights to use instead of those that the policy's card names",
-    "baseline": "the baseline to compare with: its name, its file, or none; when absent the "
-    "suite's, for the suite's own policy",
-    "rounds": "most trials in each scene",
-    "workers": "processes that run trials; one for each core when absent",
-    "report-dir": "the folder of run folders; reports/ of the project when absent",
+    "policy": "the policy to judge: a shipped policy's name, a folder, or a card",
+    "checkpoint": "use these weights instead of the card's",
+    "baseline": "the baseline to compare with: a name, a file, or none (default: the suite's, if "
+    "the policy is the suite's)",
+    "rounds": "trials per scene, at most",
+    "workers": "worker processes (default: one per core)",
+    "report-dir": "the folder of run folders (default: reports/ of the project)",
 }
 """Options that an ini file can set, too, and their help."""
 

@@ -369,7 +369,9 @@ def write_last_lines(
         properties = dict(report.user_properties)
         if "headline" in properties:
             suite = report.nodeid.removesuffix("::verdict")
-            lines[suite] = f"{properties['headline']} · report: {properties['report']}"
+            # A verdict that failed has shown its headline already.
+            shown = properties["headline" if report.passed else "verdict"]
+            lines[suite] = f"{shown} · report: {properties['report']}"
     if lines and terminal.config.get_verbosity() >= 0:
         terminal.write_sep("-", "nw-eval")
         for suite, line in sorted(lines.items()):

@@ -36,7 +36,7 @@ class SuiteFile(pytest.File):
         """Yield a test for each scene, in the order in which they run, and then the verdict's.
 
         Raises:
-            CollectError: the file is no suite, with all that is wrong with it.
+            CollectError: the file is not a suite, with all that is wrong with it.
         """
         from nw_eval import api
 

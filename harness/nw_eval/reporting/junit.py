@@ -59,7 +59,7 @@ def junit_xml(
         by_scene.setdefault(row.scene, []).append(row)
     name = str(run.suite.get("name", "suite"))
     cases = [
-        _scene_case(state, by_scene.get(state.scene, ()), verdict, run, name, folder, lines)
+        _scene_case(state, by_scene.get(state.scene, ()), verdict, name, folder, lines)
         for state in scene_states(verdict)
     ]
     return _document(
@@ -101,15 +101,13 @@ def _scene_case(
     state: SceneState,
     rows: Sequence[Row],
     verdict: Verdict,
-    run: RunInfo,
     suite: str,
     folder: Path,
     lines: SuiteLines | None,
 ) -> _Case:
-    task = run.scenes[state.scene].task if state.scene in run.scenes else "scene"
     case = _Case(
-        clean(task),
-        f"nw.{clean(suite)}.{clean(state.scene)}",
+        clean(state.scene),
+        f"nw.{clean(suite)}",
         round(sum(row.wall_s for row in rows if not row.cached), 3),
     )
     if lines is not None:

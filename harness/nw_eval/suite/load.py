@@ -87,7 +87,7 @@ def draft_suite(name_or_path: str | Path, search: Path | None = None) -> Draft:
 
     Raises:
         UsageError: there is no such suite; names the nearest one.
-        SuiteError: the file is no mapping of settings at all.
+        SuiteError: the file is not a mapping of settings at all.
     """
     path = find_suite(name_or_path, search)
     problems: list[Problem] = []
@@ -302,7 +302,7 @@ def write_ready_suite(
         name: of what it is about; what no suite's name may hold becomes a dash.
         scenes: as `scenes:` of a suite has them, one at least; paths start at the file.
         robot: that runs in it; a path starts at the file (`robot_from`).
-        policy: as above, without `--policy`; one that nw-eval has a card of if None.
+        policy: as above, without `--policy` (default: one that nw-eval has a card of).
         perturb: values of axes of perturbation.
 
     Raises:

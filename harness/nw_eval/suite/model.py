@@ -25,6 +25,7 @@ from pydantic import (
 
 from nw_base.digest import digest_of
 from nw_base.errors import NwEvalError, Problem, UsageError
+from nw_base.files.yaml_file import explain_limit
 from nw_base.plugins import AXES as GROUP
 from nw_base.plugins import (
     SCORES,
@@ -440,7 +441,8 @@ def _fault_of(changes: Mapping[str, Any], item: Mapping[str, Any]) -> str:
     if isinstance(item["input"], Mapping):
         return str(item["msg"]).removeprefix("Value error, ")
     name = str(item["loc"][-1] if item["loc"] else next(iter(changes)))
-    return f"--{name.replace('_', '-')} {item['input']!r}: {item['msg'].lower()}"
+    why = explain_limit(item) or item["msg"].lower()
+    return f"--{name.replace('_', '-')} {item['input']!r}: {why}"
 
 
 def json_schema() -> dict[str, Any]:

@@ -96,7 +96,7 @@ class FakePolicy:
         self._fail("close")
 
     def bundle(self, card: Card | None = None) -> Bundle:
-        """Return its bundle, for `Library(known=[...])`; its card is `fake_card()` if None."""
+        """Return its bundle, for `Library(known=[...])` (default: its card is `fake_card()`)."""
         return instance_bundle(self, card or fake_card(), digest="fake")
 
     def _fail(self, method: str) -> None:
@@ -178,7 +178,7 @@ def fake_card(observations: Mapping[str, Any] | None = None, **fields: Any) -> C
     """Return the card of a policy of this process.
 
     Args:
-        observations: as a card has them; the robot's joint positions if None.
+        observations: as a card has them (default: the robot's joint positions).
         fields: other keys of the card.
 
     Raises:
@@ -200,7 +200,7 @@ def trial_setup(card: Card | None = None, *, seed: int = 1) -> TrialSetup:
     """Return the setup that `Axis.change` gets, of a trial that nothing has changed yet.
 
     Args:
-        card: of the policy; `fake_card()` if None.
+        card: of the policy (default: `fake_card()`).
         seed: of the suite, from which the trial's random numbers follow.
     """
     card = card or fake_card()

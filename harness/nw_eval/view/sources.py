@@ -44,7 +44,7 @@ def kind_of(source: str | None, *, policy: str | None, scene: str | None) -> Kin
     if kind == "log" and (policy is not None or scene is not None):
         raise UsageError(
             f"{source} shows what was logged, with its own policy and scene",
-            fix="leave --policy and --scene out; `nw-eval replay` runs another policy in it",
+            fix="drop --policy and --scene; `nw-eval replay` runs another policy in it",
         )
     if (kind == "scene" and scene is not None) or (kind == "policy" and policy is not None):
         raise UsageError(
@@ -95,7 +95,7 @@ class Shelf:
     Attributes:
         logs: by the trials' names, in their order.
         rivals: logs of other runs by the trials' names: ghosts.
-        run: the run's name; empty where it is no run's folder.
+        run: the run's name; empty where it is not a run folder.
     """
 
     logs: Mapping[str, Path]

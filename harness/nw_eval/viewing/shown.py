@@ -124,7 +124,7 @@ def shown_in_log(log: LogReader) -> Shown:
     observations = [topic for topic in first if topic.startswith("/observation/")]
     named = next((topic for topic in observations if topic in elements), None)
     if not {"/robot/twist", "/robot/odom"} <= set(first):
-        raise StoreError(f"{log.path} says nowhere where its robot was", fix="run the trial again")
+        raise StoreError(f"{log.path} does not say where its robot was", fix="run the trial again")
     position = first["/robot/odom"].pose.position
     return _shown(
         trunk=first["/robot/twist"].frame_id,

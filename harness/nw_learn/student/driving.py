@@ -193,7 +193,7 @@ class Round:
         Whoever reads may stop reading at any time: workers are ended then.
 
         Args:
-            workers: processes; one for each core if None.
+            workers: processes (default: one for each core).
 
         Raises:
             TrialError: no workers can be had.
@@ -227,7 +227,7 @@ class Driving:
         trajectories: of the round; those that there are already are not driven again.
         say: takes a line for people.
         most: bytes that the round may have: what comes after them in its order is not driven.
-        workers: processes; one for each core if None.
+        workers: processes (default: one for each core).
     """
 
     def __init__(

@@ -270,7 +270,7 @@ def train_student(
         config: the file of a `StudentConfig`.
         out: the folder to make.
         say: takes lines of progress.
-        workers: processes that drive; one for each core if None.
+        workers: processes that drive (default: one for each core).
 
     Raises:
         UsageError: the config has problems, or a training is in the folder already.
@@ -302,7 +302,7 @@ class StudentTraining:
         config: checked.
         folder: of the training, with its state if it goes on.
         say: takes a line for people.
-        workers: processes that drive; one for each core if None.
+        workers: processes that drive (default: one for each core).
 
     Raises:
         PolicyError: the teacher cannot be used.

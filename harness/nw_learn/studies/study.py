@@ -59,11 +59,11 @@ def open_study(
     Args:
         kind: of the study.
         config: its file; None only with `resume`.
-        out: its folder; `runs/NAME` if None.
+        out: its folder (default: `runs/NAME`).
         resume: the folder of a study to go on with.
         say: takes a line for people.
         listening: makes what hears of one evaluation.
-        workers: processes; one for each core if None.
+        workers: processes (default: one for each core).
 
     Raises:
         UsageError: what is wrong with the config, by file and line; there is no config, or no
@@ -73,7 +73,7 @@ def open_study(
         StoreError: the folder cannot be written.
     """
     if config is None and resume is None:
-        raise UsageError("no config", fix="name one, or go on with a study: --resume FOLDER")
+        raise UsageError("no config", fix="name one, or resume a study: --resume FOLDER")
     if out is not None and resume is not None:
         raise UsageError("--out and --resume exclude each other", fix="drop --out")
     settings = None if config is None else settled(load_config(config, kind.config))
@@ -107,7 +107,7 @@ class StudyRun:
         trials: of an evaluation in each scene.
         say: takes a line for people.
         listening: makes what hears of one evaluation.
-        workers: processes; one for each core if None.
+        workers: processes (default: one for each core).
     """
 
     def __init__(
@@ -254,7 +254,7 @@ class StudyFolder:
         if self.config.exists():
             raise UsageError(
                 f"{self.path} holds a study already",
-                fix=f"go on with it: --resume {self.path}, or choose another --out",
+                fix=f"resume it with --resume {self.path}, or choose another --out",
             )
         for student in students:
             fields = student.config.model_dump(mode="json", by_alias=True)
@@ -280,7 +280,7 @@ class StudyFolder:
             raise IncomparableError(
                 f"{self.path} is of another config: {ours.digest[:8]}, here it is "
                 f"{config.digest[:8]}",
-                fix="leave the config out, or begin in another --out",
+                fix="drop the config, or give another --out",
             )
         return ours
 

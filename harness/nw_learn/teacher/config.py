@@ -110,7 +110,7 @@ class CourseSettings(ConfigModel):
     redraw: int = Field(2, ge=0)
     """Updates between two courses that are drawn anew; 0 = never."""
     scenes: tuple[str, ...] | None = None
-    """Built-in scenes of the training split to train in; all of them when absent."""
+    """Built-in scenes of the training split to train in (default: all)."""
 
     @field_validator("scenes")
     @classmethod

@@ -345,7 +345,7 @@ def lane_of(scene: Scene, robot: RobotSpec) -> Lane:
         raise SceneError(
             f"{scene.name} has {len(solids)} boxes near its {len(scene.trail)} waypoints, "
             f"{SOLIDS} and {WAYPOINTS} fit, and no other solids",
-            fix="leave it out of `courses.scenes`",
+            fix="remove it from `courses.scenes`",
         )
     parked = [
         Box(center=(0.0, 3.0 * number, _NOWHERE), half_size=(0.1, 0.1, 0.1))

@@ -367,7 +367,7 @@ def resume_teacher(folder: Path, *, say: Say) -> Trained:
     if state is not None and state.get("config") != settings.digest:
         raise StoreError(
             f"{there.state} was trained by another config than {there.config}",
-            fix="put the config back, or start anew from the state: `start: .../state.pt`",
+            fix="restore the config, or start a new training from the state: `start: .../state.pt`",
         )
     return _Training(settings, there, say).run(begin(settings) if state is None else None, state)
 
@@ -406,7 +406,7 @@ class _Training:
             except (KeyError, TypeError, AttributeError, ValueError, RuntimeError) as error:
                 raise StoreError(
                     f"{self._folder.state} is no state of this training: {error!r}",
-                    fix="start anew from a checkpoint: `start: .../0001.pt`",
+                    fix="start a new training from a checkpoint: `start: .../0001.pt`",
                 ) from None
         config, steps = self._config, self._config.budget.steps
         upto = None if state is None else self._step

@@ -10,7 +10,7 @@ Train:
     teacher Teacher teacher
     student Student student-rgb-small
     export Export runs/teacher --out policies/mine
-  study - how-to/studies.md train students of several kinds and compare them
+  study - how-to/studies.md train several kinds of students and compare them
     single-scene SingleSceneStudy single-scene-reduced
     multi-scene MultiSceneStudy --resume runs/my-study
     observations ObservationsStudy mine.yaml --out my-study

@@ -19,12 +19,12 @@ class _Options:
     """What all studies are given."""
 
     config: tyro.conf.Positional[str | None] = None
-    """A config file, or the name of a shipped one such as `single-scene-reduced`. Only --resume can
-    do without."""
+    """A config file, or a shipped config's name such as `single-scene-reduced`. Optional with
+    --resume."""
     out: Path | None = None
-    """The study's folder; `runs/<name>` when absent."""
+    """The study's folder (default: `runs/<name>`)."""
     resume: Path | None = None
-    """The folder of a study to go on with: what is trained and evaluated there is kept."""
+    """Resume the study in this folder; finished trainings and evaluations are kept."""
     workers: Workers = None
 
     def carry_out(self, kind: Kind) -> int:
@@ -45,7 +45,7 @@ class _Options:
             workers=self.workers,
         )
         if not study.run():
-            tell(f"not at its end; go on with --resume {study.folder.path}")
+            tell(f"not finished; resume with --resume {study.folder.path}")
             return INTERRUPTED
         print(study.folder.page.read_text(encoding="utf-8"))
         print(f"drawn in {study.folder.figure}")
@@ -54,7 +54,7 @@ class _Options:
 
 @dataclass(frozen=True, kw_only=True)
 class SingleSceneStudy(_Options):
-    """A student for each scene of a list, each evaluated in all of them: a matrix of success."""
+    """Train a student per scene and evaluate each in all scenes: a matrix of success."""
 
     def __call__(self) -> int:
         from nw_learn.studies.kinds import SingleScene
@@ -64,7 +64,7 @@ class SingleSceneStudy(_Options):
 
 @dataclass(frozen=True, kw_only=True)
 class MultiSceneStudy(_Options):
-    """A student of many scenes, evaluated after each round of its training, in new scenes too."""
+    """Train one student in many scenes and evaluate it after each round, in new scenes too."""
 
     def __call__(self) -> int:
         from nw_learn.studies.kinds import MultiScene
@@ -74,7 +74,7 @@ class MultiSceneStudy(_Options):
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationsStudy(_Options):
-    """Students that are given different things (colours, depth, cones, direction), compared."""
+    """Train students on different observations (colours, depth, cones, direction) and compare."""
 
     def __call__(self) -> int:
         from nw_learn.studies.kinds import Observations

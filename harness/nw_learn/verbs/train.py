@@ -20,11 +20,11 @@ class Program:
     """A training program. Subclasses have `_train` and `_go_on`."""
 
     config: tyro.conf.Positional[str | None] = None
-    """A config file, or the name of a shipped one; a folder to resume has its own."""
+    """A config file or a shipped config's name. Optional with --resume."""
     out: Path | None = None
-    """The folder of the training; `runs/<config's name>` when absent."""
+    """The training's folder (default: `runs/<config's name>`)."""
     resume: Path | None = None
-    """Go on with the training in this folder."""
+    """Resume the training in this folder."""
 
     def __call__(self) -> int:
         from nw_base.errors import UsageError
@@ -33,11 +33,11 @@ class Program:
         if self.resume is not None:
             if self.config is not None or self.out is not None:
                 raise UsageError(
-                    "--resume goes on as its folder says", fix="leave CONFIG and --out out"
+                    "--resume takes its settings from its folder", fix="drop CONFIG and --out"
                 )
             return end_of_training(self._go_on(self.resume))
         if self.config is None:
-            raise UsageError("no config", fix="name one, or a folder to go on with: --resume")
+            raise UsageError("no config", fix="name one, or resume a training: --resume FOLDER")
         config = find_config(self.config)
         out = self.out or Path("runs", config.stem)
         return end_of_training(self._train(config, out))
@@ -72,12 +72,12 @@ class Teacher(Program):
 class Student(Program):
     """Train a student: DAgger with ACT in the training scenes, from images.
 
-    Each round leaves a policy in the folder's `policies/`, and beside it the same one with its
-    images frozen to the mean of those that it learnt from.
+    Each round writes a policy into the folder's `policies/`, and a blind copy of it that sees the
+    mean training image.
     """
 
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Processes that drive trajectories; one for each core when absent."""
+    """Processes that collect trajectories (default: one per core)."""
 
     def _train(self, config: Path, out: Path) -> Trained:
         from nw_eval.engine.how import check_workers
@@ -96,14 +96,14 @@ class Student(Program):
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """Write the policy of a teacher's checkpoint: its card, and its weights as ONNX."""
+    """Export the policy of a teacher's checkpoint: its card, and its weights as ONNX."""
 
     folder: tyro.conf.Positional[Path]
-    """Of the training."""
+    """The training's folder."""
     out: Path
     """The policy's folder, such as policies/mine."""
     checkpoint: int | None = None
-    """Number of a kept checkpoint; the newest state when absent."""
+    """Number of a saved checkpoint (default: the newest state)."""
 
     def __call__(self) -> int:
         from nw_learn.teacher.policy import export_checkpoint
@@ -115,7 +115,7 @@ class Export:
 def end_of_training(trained: Trained) -> int:
     """Say how far a training came and how to go on; return the exit code."""
     if not trained.is_done:
-        more = f"go on with: nw-eval train {trained.program} --resume {trained.folder}"
+        more = f"resume with: nw-eval train {trained.program} --resume {trained.folder}"
         print(clean(f"stopped after {trained.step:,} steps; {more}"))
     print(clean(f"policy: {trained.policy}"))
     return INTERRUPTED if trained.is_interrupted else 0

@@ -199,7 +199,7 @@ def physics_steps(card: Card, protocol: EvaluationProtocol) -> tuple[float, int]
         raise PolicyError(
             f"card {card.name!r}: control.rate is {card.control.rate}, the protocol "
             f"{protocol.name!r} has control steps of {1 / CONTROL_RATE:g} s",
-            fix="use `protocol: strict` in the suite, or a policy whose rate divides 50",
+            fix="use `protocol: strict` in the suite, or a policy with a rate that divides 50",
         )
     return 1.0 / rate, card.control.substeps
 

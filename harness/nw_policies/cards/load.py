@@ -334,7 +334,7 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
         file: that it was read from.
     """
     if "/" in card.robot or ":" in card.robot:
-        message = f"robot: {card.robot!r} is no name, and a card names its robot by name"
+        message = f"robot: {card.robot!r} is not a name, and a card names its robot by name"
         return [file.problem(("robot",), message, "write the `name` of its robot.yaml")]
     try:
         robot = get_robot(card.robot)

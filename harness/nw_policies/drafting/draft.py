@@ -326,8 +326,8 @@ def _parts_of_layout(
     by_input: dict[str, list[ObservationDraft]] = {}
     names: set[str] = set()
     wanted_by_name = wanted_inputs(facts)
-    # The exporter's terms are those of the first input that is no image and no scan, and of others
-    # that hold more or fewer frames of them.
+    # The exporter's terms are those of the first input that is not an image or a scan, and of
+    # others that hold more or fewer frames of them.
     rows = [w for w in wanted_by_name if not (w.seen or is_scan(w.array.name))]
     for wanted in wanted_by_name:
         own: tuple[ExportedTerm, ...] = ()

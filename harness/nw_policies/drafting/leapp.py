@@ -377,7 +377,7 @@ def acting_node(pipeline: Pipeline, where: str) -> Node:
         names = ", ".join(plain(n.name) for n in acting) or "none"
         raise PolicyError(
             f"{where}: {'several nodes give' if acting else 'no node gives'} an action: {names}",
-            fix="export a pipeline of which one node gives the targets of all joints",
+            fix="export a pipeline in which one node gives the targets of all joints",
         )
     return acting[0]
 

@@ -271,7 +271,7 @@ class Planner:
             if given.dtype.str not in rows.DTYPES:
                 raise UnsupportedError(f"an input of type {given.dtype}")
             if None in given.shape[1:]:
-                raise UnsupportedError(f"the input {given.name!r}, whose size is open")
+                raise UnsupportedError(f"the input {given.name!r} of unknown size")
             shape: Shape = tuple(size or 1 for size in given.shape)
             view = replace(self.new(shape), kind=_KINDS[given.dtype.kind])
             self.values[given.name] = view
@@ -294,7 +294,7 @@ class Planner:
         except UnsupportedError as error:
             raise UnsupportedError(f"operator {said} with {error}") from None
         except (ValueError, IndexError, KeyError, TypeError, ZeroDivisionError) as error:
-            raise UnsupportedError(f"operator {said}, whose inputs do not fit: {error}") from None
+            raise UnsupportedError(f"operator {said} with unsuitable inputs: {error}") from None
         if any(name and name not in self.values for name in node.outputs):
             raise UnsupportedError(f"operator {said} with {len(node.outputs)} outputs")
 

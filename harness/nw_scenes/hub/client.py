@@ -67,7 +67,7 @@ def open_client(reference: Reference) -> Client:
 
     Raises:
         PrerequisiteError: the extra is not installed.
-        UsageError: HF_ENDPOINT is no address.
+        UsageError: HF_ENDPOINT is not an address.
     """
     try:
         module: Any = import_module("huggingface_hub")
@@ -84,7 +84,8 @@ def open_client(reference: Reference) -> Client:
     endpoint = (os.environ.get("HF_ENDPOINT") or str(constants.ENDPOINT)).rstrip("/")
     if not endpoint.startswith(("https://", "http://")):
         raise UsageError(
-            f"HF_ENDPOINT {clean(endpoint, at_most=100)!r} is no address", fix="give https://..."
+            f"HF_ENDPOINT {clean(endpoint, at_most=100)!r} is not an address",
+            fix="give https://...",
         )
     return Client(
         endpoint=endpoint,
@@ -248,7 +249,7 @@ def worded(client: Client, reference: Reference) -> Generator[None]:
     except errors.GatedRepoError:
         page = client.url(reference, reference.revision, "").partition("/resolve/")[0]
         raise reference.error(
-            "its owner lets in only whom he has granted access",
+            "its owner must grant you access",
             fix=f"ask for it at {page}, then {_WHO}",
         ) from None
     except errors.RepositoryNotFoundError:
@@ -337,7 +338,7 @@ def push(reference: Reference, files: Mapping[str, Path], *, private: bool, mess
     client = open_client(reference)
     if not client.has_token:
         raise reference.error(
-            f"{client.endpoint} takes nothing from somebody unknown",
+            f"{client.endpoint} does not accept uploads without a login",
             fix="set HF_TOKEN to a token that may write, or log in with `hf auth login`",
         )
     operations = [

@@ -188,7 +188,7 @@ def _wanted(reference: Reference, opened: zipfile.ZipFile) -> list[zipfile.ZipIn
         kind = stat.S_IFMT(member.external_attr >> 16)
         if kind not in {0, stat.S_IFREG}:
             raise reference.error(
-                f"{clean(member.filename, at_most=100)!r} in it is no plain file",
+                f"{clean(member.filename, at_most=100)!r} in it is not a regular file",
                 fix="fetch nothing from its owner before that is explained",
             )
         try:

@@ -78,7 +78,7 @@ def fetch(reference: Reference) -> Fetched:
             revision or file, not for this user, or it breaks a limit.
         FetchError: the hub cannot be reached or fails; what came is kept, and gone on from.
         PrerequisiteError: the extra `hub`, or `robots` for MuJoCo Menagerie, is not installed.
-        UsageError: HF_ENDPOINT is no address.
+        UsageError: HF_ENDPOINT is not an address.
         StoreError: the cache cannot be written.
     """
     found = kept(reference, reference.revision) if reference.is_pinned else None
@@ -343,7 +343,7 @@ def _lost(
     lost = unreachable(client, reference, error or EOFError("it sends nothing"))
     return FetchError(
         f"{lost.message}; {in_words(here)} of {in_words(file.size)} of {file.path} are here",
-        fix="the same command goes on from there",
+        fix="run the same command again to resume",
     )
 
 

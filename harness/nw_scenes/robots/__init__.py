@@ -35,6 +35,21 @@ BUILT_IN = tuple(sorted(path.parent.name for path in _SHIPPED.glob("*/robot.yaml
 
 _FOLDER = "robots"
 """Of a project, in which folders of robots are found by name."""
+_IN_MENAGERIE = (
+    *("agility_cassie", "anybotics_anymal_b", "anybotics_anymal_c", "apptronik_apollo"),
+    *("berkeley_humanoid", "booster_t1", "boston_dynamics_spot", "fourier_n1"),
+    *("google_barkour_v0", "google_barkour_vb", "pal_talos", "pndbotics_adam_lite"),
+    *("robotis_op3", "toddlerbot_2xc", "toddlerbot_2xm", "unitree_a1", "unitree_g1"),
+    "unitree_h1",
+)
+"""Legged robots that MuJoCo Menagerie has and nw-eval does not."""
+_ELSEWHERE = frozenset(
+    {
+        *("a2", "aliengo", "anymal_d", "atlas", "b1", "b2", "b2w", "digit", "go2w", "gr1", "h1_2"),
+        *("h2", "k1", "laikago", "lite3", "m20", "r1", "x30"),
+    }
+)
+"""Robots that neither has, whose names are not slips of `go2` or another one."""
 _DIGITS = 32
 """Hex digits of a folder's digest in a reference: 128 bits."""
 
@@ -152,8 +167,14 @@ def _is_path(reference: str) -> bool:
 
 
 def _unknown(name: str) -> UsageError:
-    hint = f"a robot of yours is a path, such as ./{name}, or lies in {_FOLDER}/"
-    return UsageError(f"unknown robot {name!r}", fix=f"{nearest(name, robot_names())}; {hint}")
+    word = name.lower().replace("-", "_")
+    models = [each for each in _IN_MENAGERIE if f"_{word}_" in f"_{each}_"]
+    folder = f"your own robot's folder, such as ./{name} (`nw-eval robots init` makes one)"
+    if word and models:
+        named = " or ".join(f"{MENAGERIE}{model}" for model in models)
+        return UsageError(f"unknown robot {name!r}", fix=f"give {named}, or {folder}")
+    hint = "" if word in _ELSEWHERE else f"{nearest(name, robot_names())}; "
+    return UsageError(f"unknown robot {name!r}", fix=f"{hint}give {folder}")
 
 
 def know_robot(reference: str, folder: Path | None) -> None:

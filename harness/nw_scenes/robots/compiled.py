@@ -47,7 +47,7 @@ class CompiledRobot:
         solid: names of the geoms that touch ground or another geom.
 
     Raises:
-        RobotError: MuJoCo cannot read or compile it, or it is no robot.
+        RobotError: MuJoCo cannot read or compile it, or it is not a robot.
     """
 
     def __init__(self, folder: RobotFolder) -> None:

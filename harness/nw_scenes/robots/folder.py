@@ -729,7 +729,7 @@ def fill_meshes(model: Element, folder: RobotFolder) -> None:
     """Write vertices and faces into every <mesh> of an MJCF, in place of its file.
 
     Raises:
-        RobotError: a file is no mesh, or has too many faces.
+        RobotError: a file is not a mesh, or has too many faces.
     """
     count = 0
     for mesh in model.iter("mesh"):

@@ -94,7 +94,7 @@ def open_scene(reference: str, collision: Collision = "terrain") -> Scene:
 def folder_of(reference: str) -> Path | None:
     """Return the folder that a reference names, itself or by its `scene.yaml`; None if it is none.
 
-    The name of a built-in scene is no folder's, whatever lies in the working folder.
+    The name of a built-in scene is not a folder's, whatever lies in the working folder.
     """
     if reference in _BY_NAME or reference.startswith(PREFIX):
         return None
@@ -136,7 +136,7 @@ def references(
             `neverwhere:...`, `hub:...`; `triangles:` before any of them as in `get_scene`. What is
             not on this machine is fetched.
         base: folder that relative paths start from; the working folder by default.
-        collision: how meshes collide, whatever the patterns say of it; as they say if None.
+        collision: how meshes collide, whatever the patterns say of it (default: as they say).
 
     Returns:
         By pattern, then by name, each once: a built-in name, the absolute path of a folder, or
@@ -278,7 +278,7 @@ def fetch_scene(reference: str, *, file: Path | None = None) -> Fetched:
     if reference.startswith(REAL):
         return fetched_scan(reference, scan_of(reference), file=file)
     if file is not None:
-        raise UsageError(f"--file is of {REAL}NAME, not of {reference}", fix="leave it out")
+        raise UsageError(f"--file is of {REAL}NAME, not of {reference}", fix="remove it")
     # A folder of that name in the working folder is no reason to fetch nothing.
     from_hub = elsewhere(reference, Path("/nowhere"))
     if from_hub is None:

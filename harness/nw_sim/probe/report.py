@@ -55,8 +55,8 @@ _BUDGET = 360.0
 FLAT = "flat/carpet_room"
 """The room in which commands and other cards are tried, too."""
 BEYOND = (
-    "this check cannot detect a robot, pose, scale, frame, gain, torque limit, rate or delay that "
-    "differs from training if the policy still walks"
+    "this check cannot detect settings that differ from training if the policy still walks: robot, "
+    "pose, scale, frame, gain, torque limit, rate or delay"
 )
 """What no second on the flat can show; added where no fault is found."""
 

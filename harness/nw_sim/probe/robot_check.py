@@ -402,16 +402,14 @@ def _notes(
     robot, notes = found.spec, list[str]()
     if dropped is not free and not free.stands:
         when = "" if free.fell_after is None else f" after {free.fell_after:.2f} s"
-        notes.append(
-            f"let go, it falls{when}: its gains alone do not balance it, which its policy must do"
-        )
+        notes.append(f"released, it falls{when}: its gains do not balance it, so its policy must")
     idle = [foot for foot, body in zip(robot.feet, feet, strict=True) if body not in dropped.forces]
     if idle:
         notes.append(f"feet that do not touch the ground: {', '.join(idle)}; see `pose` and `feet`")
     if carriers:
         notes.append(
-            f"these bear weight but are not listed as feet: {', '.join(carriers)}; see `pose`, "
-            "`feet`, and the gains"
+            f"bodies that bear weight but are not listed as feet: {', '.join(carriers)}; see "
+            "`pose`, `feet`, and the gains"
         )
     sagged = [
         f"{name} by {abs(at - target):.2f} rad"

@@ -197,8 +197,8 @@ class _Draft:
                 kp = _rounded(_KP_OF_TORQUE * torque)
                 own, kd = kd, kd + _rounded(_KD_OF_KP * kp)
                 values += [f"kp: {number(kp)}", f"kd: {number(kd)}"]
-                more = f" and the joint's damping of {number(own)}" if own else ""
-                words = f"kp = torque limit {number(torque)} N m / 1 rad, kd = kp / 40 s{more}"
+                more = f" + the joint's damping of {number(own)}" if own else ""
+                words = f"kp = torque limit of {number(torque)} N m / 1 rad, kd = kp / 40 s{more}"
                 guessed.append(words)
             rows.append((", ".join(values), "; ".join(guessed)))
         groups: dict[tuple[str, str], list[str]] = {}

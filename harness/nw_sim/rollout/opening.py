@@ -159,7 +159,7 @@ def _check_same(job: TrialJob, scene: Scene, bundle: Bundle) -> None:
         raise PolicyError(
             f"the {kind} of {job.policy!r} is {bundle.checkpoint_digest[:12]}, the trial was "
             f"planned with {job.checkpoint_digest[:12]}",
-            fix="name the bundle or the --checkpoint that it was planned with",
+            fix="give the policy or the --checkpoint that it was planned with",
         )
     if scene.digest != job.trial.scene_digest:
         raise UsageError(

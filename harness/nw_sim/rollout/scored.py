@@ -60,7 +60,7 @@ class ScoreMeter:
                 own = name.partition("=")[0]
                 raise UsageError(
                     f"score {own!r} cannot be opened: {clean(error, at_most=300)}",
-                    fix="install its package, or leave it out",
+                    fix="install its package, or remove it",
                 ) from error
         substeps, joints = self._physics.rates.shape
         feet = len(world.robot.feet)

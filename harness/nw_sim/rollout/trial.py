@@ -28,7 +28,7 @@ def run_trial(
     Args:
         job: which trial, and where its log goes.
         library: scenes and bundles that this process has loaded already.
-        clock: for its stages; one of wall seconds if None.
+        clock: for its stages (default: one of wall seconds).
 
     Returns:
         The result. A fault of policy, physics or of this program is a result with status `error`,

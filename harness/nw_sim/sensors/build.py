@@ -67,7 +67,7 @@ def build_sensors(
         world: robot and scene.
         rays: the scene's, or what gives them, if the caller keeps them between trials; asked for
             when a sensor first casts one.
-        renderer: makes the renderer of the scene's splat; the CPU renderer if None. It is called
+        renderer: makes the renderer of the scene's splat (default: the CPU renderer). It is called
             at most once, and only if a sensor needs images of the splat.
         code_from: the card's folder, if its `module:Class` plug-ins may be imported from there;
             None = a card that names one is an error.

@@ -77,7 +77,7 @@ class SeenObservation:
     """The least of its numbers; None where none is finite."""
     high: float | None
     shutter: str = ""
-    """How long its camera takes, in words; empty where that is no time, and without a camera."""
+    """How long its camera takes, in words; empty where that is not a time, and without a camera."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +98,7 @@ def draw_gallery(
         scene: where; without a splat its camera images are left out, and the sheet says so.
         path: of the PNG.
         robot: its name.
-        renderer: of the scene's splat; opened if None.
+        renderer: of the scene's splat (default: opened).
 
     Raises:
         SceneError: the splat cannot be made. StoreError: the picture cannot be written.

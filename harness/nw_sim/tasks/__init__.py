@@ -20,6 +20,7 @@ from pydantic import (
 )
 
 from nw_base.errors import NwEvalError, PluginError, UsageError, nearest
+from nw_base.files.yaml_file import explain_limit
 from nw_base.plugins import TASKS, installed, is_elsewhere, load_class, subject
 from nw_gate.scores import ScoreSpec
 from nw_sim.tasks.commanded import StandSettings, StandTask, VelocitySettings, VelocityTask
@@ -78,7 +79,8 @@ class PluginTask(TaskSettings):
         except ValidationError as error:
             first = error.errors()[0]
             place = ".".join(["task", *(str(part) for part in first["loc"])])
-            raise ValueError(f"{place}: {first['msg'].lower()}") from None
+            why = explain_limit(first) or first["msg"].lower()
+            raise ValueError(f"{place}: {why}") from None
         except NwEvalError as error:
             raise ValueError(str(error)) from None
         return self

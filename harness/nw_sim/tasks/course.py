@@ -363,7 +363,7 @@ class Course(Task):
         Args:
             waypoints: (K, 3) world, m.
             start: (2,) or (3,) where the course begins, world, m.
-            rules: of the trial; the usual ones if None.
+            rules: of the trial (default: the usual ones).
         """
         course = cls(rules=rules)
         x, y = (float(each) for each in start[:2])

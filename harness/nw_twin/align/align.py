@@ -113,7 +113,7 @@ def find_scale(
         has_floor: whether a plane was found for a floor.
         surface: mesh on which points lie that were picked in one photograph; None without.
         positions: the fit to known positions; None without.
-        say: hears of the tags that are found.
+        say: receives the tags that are found.
 
     Raises:
         UsageError: a point of a length is in no photograph, or does not meet the surface.
@@ -449,7 +449,7 @@ def align(
         mesh: vertices (V, 3) in the capture's frame and faces (F, 3); it makes the floor exact.
         options: what no photograph tells; None = nothing is known, which gives no scale: the frame
             is then in a unit of its own, see `Alignment.is_to_scale`.
-        say: hears how far it has come.
+        say: receives how far it has come.
 
     Raises:
         UsageError: an option makes no sense.

@@ -91,7 +91,7 @@ def _picked(words: str) -> dict[str, Pixel]:
         picked[name], end = (float(x) + 0.5, float(y) + 0.5), found.end()
     if not picked or end != len(words) or words.endswith("+"):
         raise UsageError(
-            f"{words!r} is no point of a photograph",
+            f"{words!r} is not a point of a photograph",
             fix="write the photograph's name and the pixel, IMG_1.jpg:412,310; or two photographs "
             "that show the point, IMG_1.jpg:412,310+IMG_2.jpg:97,305",
         )
@@ -178,7 +178,7 @@ def _check_ways(lengths: Sequence[KnownLength]) -> None:
             raise UsageError(
                 f"the lengths contradict each other: {one.metres:g} m between "
                 f"{words_of(one.first)} and {words_of(one.second)}, and {ways[a, b]:g} m by others",
-                fix="measure again, or leave one out",
+                fix="measure again, or drop one",
             )
 
 

@@ -224,7 +224,7 @@ def find_gravity(
         mesh: in its frame; None without.
         known: up as sources of poses have it.
         rng: of the draws.
-        say: hears of slopes.
+        say: receives slopes.
         folder: of the capture, with its pictures; None = edges are not looked for.
 
     Raises:

@@ -285,7 +285,7 @@ def _trained(
         except StoreError as error:
             say(f"splat: {error}: from the beginning")
         else:
-            say(f"splat: goes on after step {trainer.iteration:,} of {config.iterations:,}")
+            say(f"splat: resumes after step {trainer.iteration:,} of {config.iterations:,}")
     if trainer is None:
         say(f"splat: {len(photos)} photographs, begins with {len(start):,} Gaussians")
         trainer = Trainer(photos, start, config, threads=threads)
@@ -503,7 +503,7 @@ def _read_mesh(path: Path) -> tuple[Rows, NDArray[np.int64], Rows, Rows]:
         vertices = np.asarray(mesh.vertices, np.float64)
         return vertices, faces, vertices[faces], tints[faces]
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise SceneError(f"{path} is no mesh with colours: {error}", fix=_FIX) from None
+        raise SceneError(f"{path} is not a mesh with colours: {error}", fix=_FIX) from None
 
 
 def _nearness(places: Rows, eyes: Rows) -> Rows:

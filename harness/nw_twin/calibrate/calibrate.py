@@ -94,7 +94,7 @@ def find_source(
                 f"{path} is a zip archive, as Record3D's .r3d and other exports are",
                 fix="unpack it, and give the folder",
             )
-        raise SceneError(f"{path} is no video", fix=_KINDS)
+        raise SceneError(f"{path} is not a video", fix=_KINDS)
     return frames_of(path, working, frames, say, per_second=per_second)
 
 
@@ -228,7 +228,7 @@ def _working_in(out: Path, say: Say) -> Generator[tuple[Path, Kept]]:
             is_over = not isinstance(error, (StoreError, UsageError) if before else StoreError)
             raise
         except KeyboardInterrupt:
-            say(f"cut off: what was found is kept in {path}, and the same command goes on from it")
+            say(f"cut off: what was found is kept in {path}, and the same command resumes")
             raise
         finally:
             kept.close()

@@ -172,7 +172,7 @@ def _check_lens(lens: Lens, whose: str) -> None:
         )
     if lens.model == "EQUIRECTANGULAR":
         raise SceneError(
-            f"{whose} is EQUIRECTANGULAR: no flat picture shows a panorama",
+            f"{whose} is EQUIRECTANGULAR: a panorama is not supported",
             fix="cut the panoramas into flat pictures, as COLMAP's panorama_sfm.py does",
         )
     if len(lens.params) != size:
@@ -232,7 +232,7 @@ def pose_of(wxyz: np.ndarray, translation: np.ndarray, whose: str) -> np.ndarray
     length = float(np.linalg.norm(wxyz)) if (np.abs(wxyz) < 2.0).all() else math.inf
     if not 0.9 < length < 1.1:
         raise SceneError(
-            f"the pose of {whose} is none: its quaternion {wxyz.tolist()} has the length "
+            f"the pose of {whose} is invalid: its quaternion {wxyz.tolist()} has the length "
             f"{length:.3g}, not 1",
             fix=_FIX,
         )

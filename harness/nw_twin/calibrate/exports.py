@@ -495,7 +495,7 @@ def record3d_in(folder: Path, frames: int, say: Say) -> Footage | None:
     if len(placed) > 1 and not np.ptp([one.T_world_camera for one in placed], axis=0).any():
         raise SceneError(
             f"all poses in {path} are the same: selfie cameras and old recordings have none",
-            fix=f"give {pictures[0].parent} alone, whose cameras are then looked for",
+            fix=f"give {pictures[0].parent} alone; its cameras are then computed",
         )
     notes = unused("record3d", whole, path.name)
     return _some("record3d", files, placed, frames, say, metric=True, notes=notes)

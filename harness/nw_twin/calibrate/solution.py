@@ -68,7 +68,7 @@ def check_pose(matrix: NDArray[np.float64], whose: str) -> None:
         SceneError: one is not finite or too large, or the last row is not 0 0 0 1.
     """
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise SceneError(f"the pose of {whose} is no finite 4x4 matrix", fix="export it again")
+        raise SceneError(f"the pose of {whose} is not a finite 4x4 matrix", fix="export it again")
     if np.abs(matrix[:3, :3]).max() > _ENTRY:
         found = f"is not a rotation: {matrix[:3, :3].tolist()}"
     elif np.abs(matrix[3] - (0, 0, 0, 1)).max() > _LAST:

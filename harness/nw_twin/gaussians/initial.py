@@ -76,7 +76,7 @@ def gaussians_at(
             fix=f"give at least {NEIGHBOURS + 1} points (N, 3) and as many colours",
         )
     if not (np.isfinite(points).all() and np.isfinite(colours).all()):
-        raise SceneError("points or colours are not finite", fix="leave those points out")
+        raise SceneError("points or colours are not finite", fix="remove those points")
     order = np.argsort(points[:, 0], kind="stable")
     squares = np.empty(len(points))
     mean_square_distances(np.ascontiguousarray(points[order], dtype=np.float64), squares)

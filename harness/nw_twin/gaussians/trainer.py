@@ -158,7 +158,7 @@ class Trainer:
         """Take one step.
 
         Raises:
-            SceneError: the loss is no number any more.
+            SceneError: the loss is not a number any more.
         """
         config, rates, population = self.config, self.config.rates, self.population
         number, share = self._next_photo(), self.iteration / max(1, self.config.iterations - 1)
@@ -282,7 +282,7 @@ def resume_training(
     except (OSError, DamagedError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise StoreError(
-            f"{path}: no training to go on with: {reason}", fix="begin it anew"
+            f"{path}: no training to resume: {reason}", fix="start a new one"
         ) from error
     about, began = arrays.pop("about", np.zeros(0, dtype=np.uint8)).tobytes(), digest(start)
     if about != _about(photos, began, config):
@@ -295,7 +295,7 @@ def resume_training(
     except (KeyError, ValueError, NwEvalError) as error:
         raise StoreError(
             f"{path}: arrays of a training are missing or do not belong together: {error}",
-            fix="begin it anew",
+            fix="start a new one",
         ) from error
     trainer.began = began
     return trainer

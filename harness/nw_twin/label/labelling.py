@@ -132,7 +132,7 @@ class SceneEdits:
         if now is None or now < 1e-6 or metres <= 0:
             raise UsageError(
                 f"markers {now} m apart cannot be {metres:g} m apart",
-                fix="put two markers at points whose distance you know, and type it",
+                fix="put two markers at points with a known distance, and type it",
             )
         self._move(stretch(metres / now), to_scale=True)
 

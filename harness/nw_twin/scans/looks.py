@@ -123,7 +123,7 @@ def painted_gaussians(
         Gaussians, how far the finest are apart in metres, and what could not be read.
 
     Raises:
-        SceneError: a texture is no picture, or too large.
+        SceneError: a texture is not a picture, or too large.
         UsageError: `most` is too small.
     """
     if not 1000 <= most <= 5_000_000:
@@ -227,7 +227,7 @@ def _texture(content: bytes, width: float, spacing: float) -> NDArray[np.uint8]:
     """Return the pixels (H, W, 3) of a texture, no finer than half of the Gaussians' distance.
 
     Raises:
-        SceneError: it is no picture, damaged, or too large.
+        SceneError: it is not a picture, damaged, or too large.
     """
     from PIL import Image
 

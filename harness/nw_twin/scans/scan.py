@@ -244,7 +244,7 @@ def _check_used(source: Path, options: ScanOptions) -> None:
     else:
         return
     verb = "are" if " and " in wrong else "is"
-    raise UsageError(f"{source}: {wrong} {verb} {what}", fix=f"leave that out, or {fix}")
+    raise UsageError(f"{source}: {wrong} {verb} {what}", fix=f"drop that, or {fix}")
 
 
 def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:

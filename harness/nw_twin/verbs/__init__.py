@@ -9,7 +9,7 @@ Bring your own:
   scenes
     import ImportScan scan.glb --out my-hall
     level LevelScene my-hall --flip
-  twin - how-to/twins.md make a scene of photographs
+  twin - how-to/twins.md build a scene from photographs
     build BuildTwin photographs/ --out corridor --tag-edge 0.16
     calibrate Calibrate photographs/ --out corridor
     reconstruct Reconstruct corridor

@@ -18,47 +18,46 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportScan:
-    """Make a scene folder of a scan: a mesh with its colours, or an elevation map.
+    """Build a scene folder from a scan: a coloured mesh, or an elevation map.
 
     Meshes are GLB, OBJ, PLY or STL; elevation maps are PNG or GeoTIFF. The scene is in metres with
-    z up, the ground under the start is at z = 0, and a suite that runs it lies beside. Colours of
-    textures and vertices become Gaussians, which camera images show. The scene is checked as by
-    `scenes check`; exit code 2 if it is not ready.
+    z up, and the ground under the start is at z = 0. Texture and vertex colours become Gaussians
+    for camera images. A suite is written beside the scene. The scene is checked as by `scenes
+    check`; exit code 2 if it is not ready.
     """
 
     scan: tyro.conf.Positional[Path]
-    """The mesh, or the elevation map."""
+    """The mesh or the elevation map."""
     out: Path
-    """The scene's folder, which must not be there."""
+    """The scene's folder, which must not exist."""
     unit: Literal["auto", "m", "cm", "mm", "ft", "in"] = "auto"
-    """Of the mesh's numbers; what a comment of the file names, or else m, when `auto`."""
+    """Unit of the mesh. auto uses the unit in the file's comments, else m."""
     up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
-    """Axis of the file that is up; +y of a GLB, else the one that most of the ground looks along,
-    when `auto`."""
+    """Up axis of the file. auto uses +y for a GLB, else the axis that most of the ground faces."""
     splat: Path | None = None
-    """Gaussians of the same place, as the same app exports them (PLY, SPZ, SOG); those of the
-    mesh's colours when absent."""
+    """Gaussians of the same scene, exported by the same app: PLY, SPZ, SOG (default: made from the
+    mesh's colours)."""
     splat_transform: Path | None = None
-    """A text file of the 4 x 4 matrix from the splat's numbers to the mesh's; found among the turns
-    by right angles when absent."""
+    """A text file with the 4 x 4 matrix from splat to mesh coordinates (default: found among
+    right-angle rotations)."""
     gaussians: int = 200_000
-    """Gaussians that are made of the mesh's colours, at most."""
+    """Gaussians made from the mesh's colours. At most N."""
     cell: float | None = None
-    """Of an elevation map: width of a pixel, m. A GeoTIFF says it."""
+    """Pixel width of an elevation map, m. A GeoTIFF has it."""
     white: float | None = None
-    """Of a PNG: height of white, m."""
+    """Height of white in a PNG, m."""
     black: float = 0.0
-    """Of a PNG: height of black, m."""
+    """Height of black in a PNG, m."""
     no_data: float | None = None
-    """Of an elevation map: value of pixels without ground. A GeoTIFF may say it."""
+    """Value of elevation-map pixels without ground. A GeoTIFF may have it."""
     trail: tuple[str, ...] = ()
-    """The start, then waypoints, X,Y or X,Y,Z in m of the scene; proposed when absent."""
+    """The start and the waypoints, X,Y or X,Y,Z in scene metres (default: proposed)."""
     task: Literal["hurdles", "gaps", "ramps", "stairs", "open"] | None = None
-    """What the course asks of the robot; `open` when absent."""
+    """The course's kind of obstacle (default: open)."""
     name: str | None = None
-    """The scene's name; that of its folder when absent."""
+    """The scene's name (default: its folder's)."""
     licence: str = "not stated"
-    """Of the scan: an SPDX identifier, or words."""
+    """Licence of the scan: an SPDX identifier, or words."""
     robot: str = "go1"
     """The robot of the scene's suite."""
 
@@ -89,27 +88,27 @@ class ImportScan:
 
 @dataclass(frozen=True, kw_only=True)
 class LevelScene:
-    """Lay the floor of a scene's mesh level, turn it over, or scale it.
+    """Level the floor of a scene's mesh, turn it upside down, or scale it.
 
-    Mesh, splat, trail, start and capture cameras go by one transform, so the scene is another one,
-    with starts of its own. scene.yaml is rewritten; the files that it named before stay.
+    Mesh, splat, course, start and cameras are transformed together, so the scene gets a new digest
+    and new initial states. scene.yaml is rewritten; its old files stay.
     """
 
     scene: tyro.conf.Positional[Path]
     """The scene's folder."""
     floor: tuple[str, ...] = ()
-    """Three points X,Y,Z of the floor, as the mesh lies now; they come to z = 0."""
+    """Three points X,Y,Z of the present floor; they become z = 0."""
     flip: bool = False
-    """Put the other side of the floor up."""
+    """Turn the floor upside down."""
     unit: Literal["m", "cm", "mm", "ft", "in"] = "m"
-    """Of the mesh's numbers now, and of --floor."""
+    """Present unit of the mesh and of --floor."""
     trail: tuple[str, ...] = ()
-    """The start, then waypoints, X,Y or X,Y,Z in m, as the mesh lies afterwards; those that the
-    scene has go with the mesh when absent."""
+    """The start and the waypoints, X,Y or X,Y,Z in m, after levelling (default: transform the
+    present ones)."""
     propose: bool = False
-    """Lay the course straight over even ground, as `scenes import` does."""
+    """Propose a straight course over even ground, as `scenes import` does."""
     out: Path | None = None
-    """Write a copy to this folder, which must not be there, and leave the scene as it is."""
+    """Write a copy to this new folder and keep the scene as it is."""
 
     def __call__(self) -> int:
         from nw_base.errors import SceneError
@@ -137,7 +136,7 @@ def points_of(
     """Return points that are written X,Y or X,Y,Z.
 
     Raises:
-        UsageError: a word is no point of one of these sizes.
+        UsageError: a word is not a point of one of these sizes.
     """
     from math import isfinite
 

@@ -20,26 +20,25 @@ class CalibrateFlags:
     """Of the cameras."""
 
     matching: Literal["auto", "sequential", "retrieval", "exhaustive"] = "auto"
-    """Which of more than 30 photographs are compared: those that look similar (retrieval), those
-    and neighbours in the order of their names (sequential: auto, where names are numbers or a
-    video's frames), or all (exhaustive)."""
+    """Which photographs are compared if there are more than 30: those that look similar
+    (retrieval); those and neighbours by name (sequential); or all (exhaustive). auto is sequential
+    for a video or numbered names, else retrieval."""
     frames: int = 150
-    """Frames that are taken of a video, or of a film whose cameras an app knows, at most: sharp
-    ones, some way apart."""
+    """Sharp frames taken from a video, or from a film with known cameras. At most N."""
     per_second: float | None = None
-    """Frames that are taken of each second of a video; as many as the picture moves when absent."""
+    """Frames taken per second of a video (default: depends on the motion)."""
     lens: Literal[
         "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE"
     ] = "SIMPLE_RADIAL"
-    """COLMAP's name of the camera model, where the cameras are not known."""
+    """COLMAP camera model, if the cameras are not known."""
     share: float = 0.7
-    """Of the photographs that must be placed, 0 to 1."""
+    """Share of the photographs that must be located, 0 to 1."""
     features: int = 8192
-    """Of each photograph, at most."""
+    """Features per photograph. At most N."""
     side: int = 1600
-    """Longer side of the pictures that features are looked for in and that are written, pixels."""
+    """Longer side of the images for feature search and of the images written, pixels."""
     megapixels: int = 100
-    """Of a photograph, at most; larger ones are left out."""
+    """Megapixels of a photograph. At most N; larger photographs are skipped."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,12 +46,12 @@ class ReconstructFlags:
     """Of the mesh."""
 
     mesher: Literal["patchmatch", "openmvs"] = "patchmatch"
-    """Our own PatchMatch stereo, or the programs of OpenMVS, which must be on PATH."""
+    """The built-in PatchMatch stereo, or OpenMVS, whose programs must be on PATH."""
     depth_side: int = 328
-    """Longer side of the pictures that depth is measured in, pixels: larger ones show finer edges,
-    and less of ground that is seen at a slant."""
+    """Longer side of the depth images, pixels. Larger images show finer edges, and less ground at
+    grazing angles."""
     faces: int = 200_000
-    """Faces of the mesh, at most."""
+    """Faces of the mesh. At most N."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,18 +62,18 @@ class AlignFlags:
     """
 
     tag_edge: float | None = None
-    """Outer edge of the black border of the AprilTags (36h11) that lie about, m."""
+    """Outer edge of the black border of the AprilTags (36h11) in the scene, m."""
     camera_height: float | None = None
-    """Height at which the camera was held above the floor, the median, m."""
+    """Median height of the camera above the floor, m."""
     length: Annotated[
         tyro.conf.UseAppendAction[tuple[tuple[str, str, float], ...]],
         tyro.conf.arg(metavar="POINT POINT METRES"),
     ] = ()
-    """A distance that you measured, between two points of photographs, m: IMG_1.jpg:412,310
-    IMG_1.jpg:590,322 0.90. The pixel of one photograph is where it meets the mesh; that of two,
-    IMG_1.jpg:412,310+IMG_2.jpg:97,305, is where their rays meet."""
+    """A measured distance between two points of photographs, m: IMG_1.jpg:412,310 IMG_1.jpg:590,322
+    0.90. One pixel marks the point where its ray meets the mesh; two pixels,
+    IMG_1.jpg:412,310+IMG_2.jpg:97,305, the point where their rays meet."""
     metric: bool = False
-    """The cameras that were taken as they are (ARKit, Polycam, Record3D) are in metres already."""
+    """The given cameras (ARKit, Polycam, Record3D) are already in metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,14 +81,14 @@ class SplatFlags:
     """Of the Gaussians."""
 
     iterations: int = 6000
-    """Steps of training."""
+    """Training steps."""
     gaussians: int = 200_000
-    """Gaussians, at most."""
+    """Gaussians. At most N."""
     longest: int = 480
-    """Longest side of the pictures that are learnt from, pixels."""
+    """Longer side of the training images, pixels."""
     held_out: Annotated[str, tyro.conf.arg(metavar="GLOB")] = ""
-    """Photographs that are kept from training to compare with, such as 'low_*'; every eighth when
-    absent. Of fewer than 16 photographs, one or two are until the figures are taken."""
+    """Photographs kept out of training for evaluation, such as 'low_*' (default: every eighth).
+    With fewer than 16 photographs, one or two are kept until the figures are computed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,13 +96,13 @@ class PlaceFlags:
     """Of the scene."""
 
     name: str | None = None
-    """The scene's name; when absent, that which the scene has already, else that of its folder."""
+    """The scene's name (default: its present name, else its folder's)."""
     licence: str | None = None
-    """Of the photographs: an SPDX identifier, or words; when absent, that of the scene that is
-    there, else `unknown`."""
+    """Licence of the photographs: an SPDX identifier, or words (default: that of the existing
+    scene, else `unknown`)."""
     robot: str | None = None
-    """The robot of the scene's suite: whose feet, camera and length the check goes by. When absent,
-    that of the suite that is there, else a Go1."""
+    """The robot of the scene's suite; the check uses its feet, camera and legs (default: that of
+    the existing suite, else go1)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,18 +112,18 @@ class AllFlags(CalibrateFlags, ReconstructFlags, AlignFlags, SplatFlags, PlaceFl
 
 @dataclass(frozen=True, kw_only=True)
 class BuildTwin(AllFlags):
-    """Photographs to a scene, all stages one after another; what is done stays, and goes on.
+    """Build a scene from photographs: runs all stages and resumes after the last finished one.
 
-    A folder of photographs, a video, or cameras that COLMAP, nerfstudio or an app knows. Ends with
-    what `scenes check` says of the scene, and with 2 where that is an error; the scene stays.
+    Takes a folder of photographs, a video, or cameras of COLMAP, nerfstudio or an app. Ends with
+    the findings of `scenes check`: exit code 2 on an error; the scene is kept.
     """
 
     photographs: tyro.conf.Positional[Path]
-    """The folder, or the video."""
+    """The folder or the video."""
     out: Path
-    """The scene's folder; work in progress lies in its `build/`."""
+    """The scene's folder; unfinished work is in its `build/`."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Threads that share the work; the number of cores when absent. They change no result."""
+    """Threads (default: one per core). They do not change the result."""
 
     def __call__(self) -> int:
         from nw_base.errors import SceneError
@@ -136,15 +135,15 @@ class BuildTwin(AllFlags):
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(CalibrateFlags):
-    """Find where each photograph was taken from, and take the lens's distortion out."""
+    """Locate the camera of each photograph and remove lens distortion."""
 
     photographs: tyro.conf.Positional[Path]
     """A folder of photographs, a video, or cameras of COLMAP, nerfstudio, Polycam, Record3D or
-    another app of docs/how-to/twins.md."""
+    another app listed in docs/how-to/twins.md."""
     out: Path
     """The scene's folder."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Threads that share the work; the number of cores when absent. They change no result."""
+    """Threads (default: one per core). They do not change the result."""
 
     def __call__(self) -> int:
         from nw_twin.building.build import Build
@@ -155,12 +154,12 @@ class Calibrate(CalibrateFlags):
 
 @dataclass(frozen=True, kw_only=True)
 class Reconstruct(ReconstructFlags):
-    """Measure the depth of every photograph, and make the mesh."""
+    """Compute the depth of every photograph and build the mesh."""
 
     scene: tyro.conf.Positional[Path]
     """The scene's folder."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Threads that share the work; the number of cores when absent. They change no result."""
+    """Threads (default: one per core). They do not change the result."""
 
     def __call__(self) -> int:
         from nw_twin.building.build import Build
@@ -171,7 +170,7 @@ class Reconstruct(ReconstructFlags):
 
 @dataclass(frozen=True, kw_only=True)
 class Align(AlignFlags):
-    """Find which way is up, how large it is, and where the floor is."""
+    """Find the up axis, the scale and the floor."""
 
     scene: tyro.conf.Positional[Path]
     """The scene's folder."""
@@ -185,12 +184,12 @@ class Align(AlignFlags):
 
 @dataclass(frozen=True, kw_only=True)
 class TrainSplat(SplatFlags):
-    """Train the Gaussians; a training that was cut off goes on."""
+    """Train the Gaussians; resumes an interrupted training."""
 
     scene: tyro.conf.Positional[Path]
     """The scene's folder."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Threads that share the work; the number of cores when absent. They change no result."""
+    """Threads (default: one per core). They do not change the result."""
 
     def __call__(self) -> int:
         from nw_twin.building.build import Build
@@ -201,9 +200,9 @@ class TrainSplat(SplatFlags):
 
 @dataclass(frozen=True, kw_only=True)
 class PlaceScene(PlaceFlags, AlignFlags):
-    """Write the scene: mesh and splat in metres, and the course that the scene suggests.
+    """Write the scene: mesh and splat in metres, and a proposed course.
 
-    An option of `align` aligns it again first; nothing else is built again.
+    With an option of `align` it aligns the scene again first; nothing else is rebuilt.
     """
 
     scene: tyro.conf.Positional[Path]
@@ -221,15 +220,15 @@ class PlaceScene(PlaceFlags, AlignFlags):
 
 @dataclass(frozen=True, kw_only=True)
 class AblateSplat(SplatFlags):
-    """Train the splat four times, to compare: from points or the mesh, without or with depths.
+    """Train the splat four times to compare: from points or the mesh, without or with depths.
 
-    The scene's own splat stays as it is. A training that was cut off goes on.
+    The scene's own splat does not change. An interrupted training is resumed.
     """
 
     scene: tyro.conf.Positional[Path]
     """The scene's folder, with a mesh in its `build/`."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Threads that share the work; the number of cores when absent. They change no result."""
+    """Threads (default: one per core). They do not change the result."""
 
     def __call__(self) -> int:
         from nw_twin.building.ablation import ablate, table_text, write_table
@@ -247,20 +246,20 @@ class AblateSplat(SplatFlags):
 
 @dataclass(frozen=True, kw_only=True)
 class LabelScene:
-    """Lay the course through a scene in the browser, till Ctrl-C: start, waypoints, task.
+    """Edit a scene's course in the browser (Ctrl-C to stop): start, waypoints, task.
 
-    The page scales, levels, flips and crops the scene too, shows heights along the course and what
-    go1-parkour, a policy of a go1, can reach, and proposes a course. Saving writes scene.yaml.
+    The page also scales, levels, flips and crops the scene, shows heights along the course and what
+    go1-parkour can pass, and proposes a course. Saving writes scene.yaml.
     """
 
     scene: tyro.conf.Positional[str]
-    """A scene folder; with --out any place that a suite can name."""
+    """A scene folder; with --out any scene that a suite can name."""
     out: Path | None = None
-    """Label a copy, in this new folder: built-in and fetched places are not edited in place."""
+    """Edit a copy in this new folder; required for built-in and fetched scenes."""
     robot: str = "go1"
-    """With --out: the robot of the suite that is written beside the copy."""
+    """With --out: the robot of the copy's suite."""
     port: int = 0
-    """Port to listen at, on this machine's own address only; 0 chooses a free one."""
+    """Port on this machine's loopback address; 0 chooses a free one."""
     open: bool = False
     """Open the page in this machine's browser."""
 

@@ -134,12 +134,10 @@ def test_a_save_says_how_long_it_takes_and_after_ctrl_c_goes_on_with_the_same_co
     with monkeypatch.context() as patch:
         patch.setattr("nw_eval.cli.terminal.progress.RunProgress.trial", press_ctrl_c)
         said = printed(capsys, *command, code=130).splitlines()
-    assert said[0].startswith(
-        "30 trials to run: at most about 0.1 minutes with --workers 1; Ctrl-C"
-    )
-    assert "2 of 30 trials are kept; the same command goes on with them" in said
+    assert said[0].startswith("30 trials to run: about 0.1 minutes with --workers 1; Ctrl-C")
+    assert "2 of 30 trials are kept; run the same command again to resume" in said
     assert not file.exists()
-    assert "28 of 30 trials to run: at most about" in printed(capsys, *command)
+    assert "28 of 30 trials to run: about" in printed(capsys, *command)
     assert timeless(read_bank(file)) == timeless(whole)
 
 
@@ -183,10 +181,10 @@ def test_a_run_that_is_not_whole_leaves_no_file():
 @pytest.mark.usefixtures("project")
 def test_a_run_on_another_class_of_machine_is_a_second_panel(capsys):
     shown = printed(capsys, "save", "quick.yaml", "--run", str(run_of("there", cpu="haswell")))
-    assert "which has this class of machine now, too (2 classes): cpu haswell" in shown
+    assert "which has this machine type now, too (2 types): cpu haswell" in shown
     file = Path("reports/baselines/quick/stand.parquet")
     assert [panel.machine.get("cpu") for panel in read_bank(file).panels] == [None, "haswell"]
-    assert "0 of 4 starts went another way than on machine 1" in printed(capsys, "show", "stand")
+    assert "0 of 4 trials differ from machine 1" in printed(capsys, "show", "stand")
 
 
 @pytest.mark.usefixtures("project")
@@ -205,7 +203,7 @@ def test_another_simulator_replaces_a_bank_only_when_asked_and_after_what_moved_
     # Here it is MuJoCo 4.0.0 still.
     shown = printed(capsys, "check", "stand", "--suite", "quick.yaml", code=5)
     assert shown.splitlines()[:2] == [
-        "INVALID: baseline stand does not hold here",
+        "INVALID: baseline stand is not compatible",
         "simulator mujoco  4.9.9 -> 4.0.0",
     ]
     assert "renew it with `nw-eval baseline save quick.yaml --policy stand --renew`" in shown
@@ -215,8 +213,8 @@ def test_a_check_names_what_the_suite_says_otherwise_and_whether_the_machine_is_
     project, capsys
 ):
     shown = printed(capsys, "check", "quick/stand", "--suite", "quick.yaml")
-    assert "holds here: suite, scenes, protocol, simulator, policy" in shown
-    assert "it has results of this class of machine" in shown
+    assert "is compatible: suite, scenes, protocol, simulator, policy" in shown
+    assert "it has results for this machine type" in shown
     (project / "quick.yaml").write_text(SUITE.replace("seed: 5", "seed: 6"))
     shown = printed(capsys, "check", "stand", "--suite", "quick.yaml", code=5)
     assert "suite seed    5 -> 6" in shown
@@ -267,8 +265,8 @@ def test_two_banks_are_compared_scene_by_scene(capsys):
     api.save_baseline("quick.yaml", run=run_of("newer", mujoco="4.9.9"), name="newer")
     shown = printed(capsys, "diff", "stand", "newer")
     assert "simulator mujoco  4.0.0 -> 4.9.9" in shown
-    assert "flat/carpet_room  0.000  0.000  +0.000  0 of 4            none" in shown
-    assert "No start went another way." in shown
+    assert "flat/carpet_room  0.000  0.000  +0.000  0 of 4          none" in shown
+    assert "No trial changed." in shown
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,7 @@ def test_runs_on_other_starts_are_invalid_and_the_field_is_named(reports):
 
 
 def test_what_is_neither_a_run_nor_a_bank_is_named(reports):
-    with pytest.raises(UsageError, match=r"nowhere is no run's folder, and suite 'tiny' has no"):
+    with pytest.raises(UsageError, match=r"nowhere is not a run folder, and suite 'tiny' has no"):
         nw_eval.compare([reports / "a", "nowhere"])
     with pytest.raises(UsageError, match="name the baseline's file"):
         nw_eval.compare(["nowhere", "elsewhere"])

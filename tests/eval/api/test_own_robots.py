@@ -116,7 +116,7 @@ def test_faults_of_robot_suite_and_card_are_told_with_their_places(mine):
     with pytest.raises(PolicyError, match=message):
         api.plan(mine / "mine.yaml")
     (mine / "holds" / "policy.yaml").write_text(CARD.replace("robot: table", "robot: ../table"))
-    with pytest.raises(PolicyError, match=r"policy\.yaml:3:1: robot: '\.\./table' is no name"):
+    with pytest.raises(PolicyError, match=r"policy\.yaml:3:1: robot: '\.\./table' is not a name"):
         api.plan(mine / "mine.yaml")
     (mine / "holds" / "policy.yaml").write_text(CARD.replace("robot: table", "robot: go1"))
     with pytest.raises((PolicyError, SuiteError), match="has no foot 'leg_rl'"):

@@ -64,8 +64,8 @@ def test_the_first_checkpoint_that_fell_is_found_and_a_search_goes_on_where_it_w
     page = series_page(found)
     interval = found.runs[2].verdict.against.interval
     assert (
-        f"the first flagged: fourth.onnx, {interval.low:.2f} (99 % sure) to {interval.high:.2f} "
-        "(95 % sure) worse than the good one" in page
+        f"the first flagged: fourth.onnx, worse than the good one by {interval.low:.2f} (99 % "
+        f"confidence) to {interval.high:.2f} (95 %)" in page
     )
     assert "the last before it that passed: third.onnx" in page
     again = api.bisect("one.yaml", series, **settings)
@@ -116,7 +116,7 @@ def test_what_is_no_checkpoint_is_refused_before_anything_runs(series):
 def test_a_bank_of_that_name_that_is_of_another_checkpoint_is_not_taken_for_the_good_one(series):
     api.save_baseline("one.yaml", checkpoint="last.onnx", name="good", trials=1)
     with pytest.raises(
-        IncomparableError, match=r"good\.parquet is there already, and is no baseline"
+        IncomparableError, match=r"good\.parquet is there already, and is not a baseline"
     ):
         api.bisect("one.yaml", series, good="good.onnx", bad="last.onnx", baseline_trials=1)
 

@@ -9,6 +9,7 @@ from command_line import ends
 from saved_runs import info_of, row_of, save
 
 import nw_eval
+from nw_base.digest import digest_of
 from nw_base.errors import UsageError
 from nw_eval.api.saved_run import saved_trials
 from nw_eval.engine.order import shard_of
@@ -35,6 +36,7 @@ def save_run(
     part=None,
     power=None,
     checkpoint=None,
+    card="",
     others=(),
     **changes,
 ):
@@ -47,7 +49,9 @@ def save_run(
         planned,
         {name: SceneInfo(digest=DIGEST, task="flat", trials=STARTS) for name in scenes},
         id=path.name,
-        policy=PolicyInfo(name=policy, checkpoint_digest=checkpoint),
+        policy=PolicyInfo(
+            name=policy, checkpoint_digest=checkpoint, card=card, card_digest=digest_of(card)
+        ),
         engine={"mujoco": "4.0.0", "renderer": "cpu gsplat-1.5", "cpu": "znver4 1f0c77a2"},
         **{"finished": "2026-11-21T11:01:05Z", **changes},
     )
@@ -116,7 +120,7 @@ def test_policies_stand_by_suite_with_intervals_and_ties(runs, tmp_path):
     assert board[0][0] == "policy"
     assert board[1][0] == "good"
     by_name = {row[0]: row for row in board[1:]}
-    assert by_name["good"][1] == "0.500", "of the suite that comes first in the alphabet"
+    assert by_name["good"][2] == "0.500", "of the suite that comes first in the alphabet"
     assert "1.000" in by_name["good"]
     assert "rank 1 to 2" in by_name["good"]
     assert "rank 1 to 2" in by_name["also-good"], "eleven of twelve and twelve decide nothing"
@@ -175,7 +179,7 @@ def test_a_part_of_a_run_is_left_out(runs, tmp_path):
 def test_a_folder_of_something_else_stays_as_it_is(runs, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "index.html").write_text("mine")
-    with pytest.raises(UsageError, match="holds something that is no site of nw-eval"):
+    with pytest.raises(UsageError, match="holds something that is not an nw-eval site"):
         nw_eval.write_site(runs, tmp_path / "mine")
     assert (tmp_path / "mine" / "index.html").read_text() == "mine"
     with pytest.raises(UsageError, match="no run to show"):
@@ -190,7 +194,7 @@ def test_reports_that_a_site_has_elsewhere_stay_as_they_are(runs, tmp_path):
     (site / "runs").rename(tmp_path / "elsewhere")
     (site / "runs").symlink_to(tmp_path / "elsewhere")
     before = sorted(tmp_path.rglob("*"))
-    with pytest.raises(UsageError, match="holds something that is no site of nw-eval"):
+    with pytest.raises(UsageError, match="holds something that is not an nw-eval site"):
         nw_eval.write_site(runs, tmp_path / "site")
     assert sorted(tmp_path.rglob("*")) == before
 
@@ -247,10 +251,28 @@ def test_policies_of_one_name_are_told_apart_by_their_training_steps(tmp_path):
     ]  # fmt: skip
     site = nw_eval.write_site(steps, tmp_path / "site")
     board = Reader(site.page).rows[1:3]
-    assert [row[:3] for row in board] == [
+    assert board[0][1] != board[1][1], "the digests of two checkpoints"
+    assert [[row[0], *row[2:4]] for row in board] == [
         ["walker", "step 1000", "1.000"],
         ["walker", "step 500", "0.250"],
     ]
+
+
+def test_three_cards_with_one_checkpoint_are_three_policies(tmp_path):
+    folders = [
+        save_run(
+            tmp_path / "runs" / f"of-{name}", "walker", reached,
+            card=f"policies/{name}/policy.yaml",
+        )
+        for name, reached in (("a", 12), ("b", 6), ("c", 3))
+    ]  # fmt: skip
+    site = nw_eval.write_site(folders, tmp_path / "site")
+    board = Reader(site.page).rows[1:4]
+    assert [[row[0], row[2]] for row in board] == [["a", "1.000"], ["b", "0.500"], ["c", "0.250"]]
+    assert len({row[1] for row in board}) == 3
+    runs = Reader(site.page.with_name("runs.html"))
+    named = {row[0] for row in runs.rows if row}
+    assert named >= {"a", "b", "c"}
 
 
 def test_a_run_that_was_stopped_early_stands_there_without_a_rank(tmp_path):
@@ -264,7 +286,7 @@ def test_a_run_that_was_stopped_early_stands_there_without_a_rank(tmp_path):
     assert (site.runs, site.left_out, site.exit_code) == (2, (), 0)
     page = Reader(site.page)
     by_name = [row for row in page.rows if row[0] == "bad"]
-    assert by_name[0][1] == "0.000"
+    assert by_name[0][2] == "0.000"
     assert "stopped early" in by_name[0]
     assert page.rows[1][0] == "good"
     assert "decided after 2 of 36 trials; the rest were skipped" in by_name[1]

@@ -15,7 +15,7 @@ from nw_sim import catalogue
 # What is right, and in its place: what is wrong, and what is said of it.
 FAULTS = {
     "key": ("record: none", "recrod: none", "1: unknown key 'recrod'; did you mean 'record'?"),
-    "value": ("trials: 1", "trials: 0", "1: trials: should be greater than or equal to 1, got 0"),
+    "value": ("trials: 1", "trials: 0", "1: trials: must be at least 1, got 0"),
     "duplicate": ("# nothing", "seed: 7", "1: duplicate key 'seed', first on line 6"),
     "scene": (
         "  - hurdles/three_low",

@@ -26,7 +26,7 @@ def test_help_names_every_verb_and_every_exit_code(capsys):
     shown = capsys.readouterr().out
     for word in ("run", "check", "report", "replay", "scenes", "schema", "warmup"):
         assert word in shown
-    for word in ("0 PASS", "1 REGRESSED", "3 INCONCLUSIVE", "5 not comparable"):
+    for word in ("0 PASS", "1 REGRESSED", "3 INCONCLUSIVE", "5 invalid comparison"):
         assert word in " ".join(shown.replace("│", " ").split())
 
 

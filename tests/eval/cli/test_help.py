@@ -125,8 +125,9 @@ def test_the_same_letter_and_the_same_word_stand_for_one_option_in_all_verbs():
         ("splat render a --eye 1 2", "--eye 1 2; give X Y Z"),
         ("merge part", "nw-eval merge: --out PATH is missing; the folder of the merged run"),
         ("report --junit", "--junit has no value"),
-        ("check", "nw-eval check: SUITE is missing; a suite file, or the name"),
+        ("check", "nw-eval check: SUITE is missing; a suite file or"),
         ("splat render a --eye 1 y 2", "--eye 1 y 2; give X Y Z"),
+        ("completion", "SHELL is missing; give one of bash, zsh, fish"),
     ],
 )
 def test_wrong_arguments_are_answered_in_a_line_that_names_them(words, said, capsys):

@@ -48,9 +48,9 @@ def measure(
     Args:
         place: a folder, or
             a name.
-        policy: who measures; nobody if None.
+        policy: who measures (default: no one).
         render: the renderer.
-        out: what to write. If None, nothing is.
+        out: what to write (default: nothing).
         limit: how many.
         workers: of Python alone.
 
@@ -99,10 +99,10 @@ def test_names_types_defaults_and_sentences_are_those_of_the_function():
     }
     assert told(Measure) == {
         "place": ((), "A folder, or a name."),
-        "policy": (("-p", "--policy"), "Who measures; nobody when absent."),
-        "render": (("--render",), "The renderer. (default: cpu)"),
-        "out": (("--out",), "What to write. When absent, nothing is."),
-        "limit": (("--limit",), "How many. (default: 3)"),
+        "policy": (("-p", "--policy"), "Who measures (default: no one)."),
+        "render": (("--render",), "The renderer (default: cpu)."),
+        "out": (("--out",), "What to write (default: nothing)."),
+        "limit": (("--limit",), "How many (default: 3)."),
     }
 
 
@@ -131,10 +131,10 @@ def test_a_class_says_what_is_otherwise_on_the_command_line():
     }
     assert told(Measure) == {
         "place": (("--place",), "A folder, or a name."),
-        "policy": (("-p", "--policy"), "Who. (default: me)"),
-        "render": (("--render",), "The renderer. (default: cpu)"),
-        "out": (("--out",), "What to write. When absent, nothing is. (default: x.png)"),
-        "most": (("--most",), "How many. (default: 3)"),
+        "policy": (("-p", "--policy"), "Who (default: me)."),
+        "render": (("--render",), "The renderer (default: cpu)."),
+        "out": (("--out",), "What to write (default: x.png)."),
+        "most": (("--most",), "How many (default: 3)."),
         "twice": (("--twice",), "Two times."),
     }
     given = Measure(place=Path("a"), most="5", twice=True).call().given
@@ -156,7 +156,7 @@ def test_what_is_the_same_in_all_verbs_has_one_help_and_is_handed_on_under_its_n
     for name in ("workers", "no_cache", "checkpoint"):
         assert found[name] == every[name]
     assert found["workers"][0] == ("-j", "--workers")
-    assert found["seed"][1].startswith("Another seed set than the suite's own")
+    assert found["seed"][1].startswith("Use a different seed")
     given = Measure(place="a", workers=2, no_cache=True, seed=9).call().given
     assert given.items() >= {"workers": 2, "cache": False, "seed": 9, "checkpoint": None}.items()
     assert "no_cache" not in given

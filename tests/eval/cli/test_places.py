@@ -105,7 +105,7 @@ def test_a_pipe_in_place_of_a_file_of_a_run_is_not_waited_for(places):
             with suppress(NwEvalError):
                 read(made)
         if name in {"journal.jsonl", "LOG"}:
-            assert api.verify(made).exit_code, "what is no file is not as it was"
+            assert api.verify(made).exit_code, "what is not a file is not as it was"
         path.unlink()
         if kept is not None:
             path.write_bytes(kept)

@@ -49,10 +49,10 @@ def test_what_differs_is_named_with_the_step_at_which_logs_part():
         f"t: OTHER BITS: state_digest was abababababab, now cdcdcdcdcdcd; {parts}",
         "t: the same in 7 steps: states and actions; there is no log to compare images with",
         "t: no result now: crashed: killed",
-        "run again: 1 of 3 trials with the same bits, drawn from 100 by --seed 3",
+        "re-run: 1 of 3 trials identical, drawn from 100 by --seed 3",
     ]
 
 
 def test_why_nothing_was_run_again_is_said():
     found = lines(unable=IncomparableError("another machine", fix="go there"))
-    assert found[-1] == "nothing was run again: another machine; go there"
+    assert found[-1] == "nothing was re-run: another machine; go there"

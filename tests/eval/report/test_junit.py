@@ -49,20 +49,20 @@ def test_there_is_a_case_for_each_scene_and_one_for_the_verdict_with_their_place
     suite = read(junit_xml(run, rows, verdict, FOLDER, lines))
     found = cases(suite)
     assert list(found) == [
-        "nw.hurdles.gaps/wide hurdles",
-        "nw.hurdles.hurdles/one hurdles",
+        "nw.hurdles gaps/wide",
+        "nw.hurdles hurdles/one",
         "nw.hurdles verdict",
     ]
     places = [(case.get("file"), case.get("line")) for case in found.values()]
     assert places == [("suites/hurdles.yaml", line) for line in ("9", "8", "11")]
-    assert found["nw.hurdles.gaps/wide hurdles"].get("time") == "30.0"
+    assert found["nw.hurdles gaps/wide"].get("time") == "30.0"
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("3", "2", "0")
 
 
 def test_a_failure_has_one_sentence_and_the_commands_that_show_it(make_run, regressed):
     rows, planned, verdict = regressed
     suite = read(junit_xml(make_run(planned), rows, verdict, FOLDER, None))
-    failure = cases(suite)["nw.hurdles.gaps/wide hurdles"].find("failure")
+    failure = cases(suite)["nw.hurdles gaps/wide"].find("failure")
     assert failure is not None
     assert failure.get("type") == "regressed"
     assert failure.get("message", "").startswith(
@@ -78,18 +78,18 @@ def test_a_failure_has_one_sentence_and_the_commands_that_show_it(make_run, regr
     assert whole.get("message", "").startswith(
         "REGRESSED by the bar · completed 20 of 40 trials in 2 scenes · "
     )
-    assert properties(cases(suite)["nw.hurdles.gaps/wide hurdles"])["mcap"].endswith("-000.mcap")
+    assert properties(cases(suite)["nw.hurdles gaps/wide"])["mcap"].endswith("-000.mcap")
     assert properties(suite)["verdict"] == "REGRESSED"
     assert properties(suite)["exit_code"] == "1"
     assert float(properties(suite)["success"]) == pytest.approx(0.5625)
-    of_scene = properties(cases(suite)["nw.hurdles.gaps/wide hurdles"])
+    of_scene = properties(cases(suite)["nw.hurdles gaps/wide"])
     assert float(of_scene["success"]) == pytest.approx(0.125)
 
 
 def test_success_is_also_called_effect_until_the_next_release(make_run, regressed):
     rows, planned, verdict = regressed
     suite = read(junit_xml(make_run(planned), rows, verdict, FOLDER, None))
-    for found in [properties(suite), properties(cases(suite)["nw.hurdles.gaps/wide hurdles"])]:
+    for found in [properties(suite), properties(cases(suite)["nw.hurdles gaps/wide"])]:
         assert found["effect"] == found["success"]
 
 
@@ -130,7 +130,7 @@ def test_an_error_of_a_trial_is_told_in_its_scene(make_row, make_run):
     rows = [make_row("a", 0, 4), make_row("a", 1, None)]
     verdict = judge(rows, BAR, {"a": 2})
     suite = read(junit_xml(make_run({"a": 2}), rows, verdict, FOLDER, None))
-    text = cases(suite)["nw.hurdles.a hurdles"].findtext("error")
+    text = cases(suite)["nw.hurdles a"].findtext("error")
     assert text is not None
     assert text.splitlines()[1] == "a-001: signal 11"
 
@@ -152,7 +152,7 @@ def test_names_that_xml_forbids_are_shown_as_text(make_row, make_run, evil):
         assert mark not in text
     assert "\\x1b[2Jred\\u202e" in text
     (case, _) = read(data).iter("testcase")
-    assert "**bold** _low_" in (case.get("classname") or "")
+    assert "**bold** _low_" in (case.get("name") or "")
     assert [each.name for each in JUnitXml.fromstring(data.decode().partition("\n")[2])]
 
 

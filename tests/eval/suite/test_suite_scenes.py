@@ -98,9 +98,9 @@ def test_an_override_keeps_what_it_does_not_name(tmp_path: Path) -> None:
 
 def test_an_override_that_cannot_be_used_names_the_option(tmp_path: Path) -> None:
     before = suite(tmp_path, "[hurdles/*]")
-    with pytest.raises(UsageError, match="--trials 0: input should be greater"):
+    with pytest.raises(UsageError, match="--trials 0: must be at least 1"):
         override(before, Request(trials=0))
-    with pytest.raises(UsageError, match="--seed -1: input should be greater"):
+    with pytest.raises(UsageError, match="--seed -1: must be at least 0"):
         override(before, Request(seed=-1))
     with pytest.raises(UsageError, match="--record 'fail'"):
         override(before, Request(record="fail"))

@@ -261,7 +261,7 @@ def test_a_slow_policys_observations_take_its_rate_unless_they_say_another(tmp_p
         ),
         ("rate: 62.5", "use `physics_rate: 250 or 375 or 500`, or `rate: 50 or 66.6667`"),
         ("rate: 400", "use `physics_rate: 400 or 800 or 1200`"),
-        ("rate: 0.5", "greater than or equal to 1"),
+        ("rate: 0.5", "must be at least 1"),
         ("physics_rate: 240", "240 physics steps a second are 4.8 for a control step of 0.02 s"),
         ("action: joint_torque, kp: 20", "kp has no meaning for torques"),
     ],

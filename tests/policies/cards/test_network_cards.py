@@ -98,7 +98,7 @@ inputs: [body, adaptation.latent, adaptation.velocity{uses}]
         ),
         ("[past]}", "[]}", r":14:14: .*'obs_history' has no observations; name at least one"),
         ("rate: 5", "rats: 5", r":16:5: unknown key 'rats'; did you mean 'rate'\?"),
-        ("vel, scale: 2", "-1", r":15:\d+: .*outputs\.velocity\.output: .*greater than or equal"),
+        ("vel, scale: 2", "-1", r":15:\d+: .*outputs\.velocity\.output: .*must be at least"),
         ("encoder.onnx", "../e.onnx", r":13:18: .*leaves the card's folder"),
         ("    rate: 5", "    recurrent: {obs_history: h}", r":14:14: .* is in `recurrent` too"),
         ("  adaptation:\n", "  past:\n", r":11:3: networks\.past: an observation is called 'past'"),

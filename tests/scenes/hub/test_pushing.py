@@ -71,7 +71,9 @@ def test_a_place_may_be_for_its_owner_alone(writer, folder):
 
 
 def test_nobody_pushes_without_a_token(hub, folder):
-    with pytest.raises(SceneError, match="takes nothing from somebody unknown; set HF_TOKEN to a"):
+    with pytest.raises(
+        SceneError, match="does not accept uploads without a login; set HF_TOKEN to a"
+    ):
         api.push_scene(folder, "hub:lab/mine")
     assert not hub.calls
 

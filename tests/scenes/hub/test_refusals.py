@@ -122,7 +122,7 @@ def test_a_page_of_somebody_else(hub):
 
 def test_an_endpoint_that_is_no_address(monkeypatch):
     monkeypatch.setenv("HF_ENDPOINT", "my-mirror")
-    with pytest.raises(UsageError, match="HF_ENDPOINT 'my-mirror' is no address"):
+    with pytest.raises(UsageError, match="HF_ENDPOINT 'my-mirror' is not an address"):
         api.fetch_scene("hub:lab/corridor")
 
 

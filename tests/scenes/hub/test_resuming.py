@@ -41,7 +41,9 @@ def test_a_network_that_is_lost_for_good_is_told_with_what_is_here_and_what_come
         api.fetch_scene(REFERENCE)
     text = str(caught.value)
     assert text.startswith(f"{REFERENCE}: cannot reach {hub.url}: ")
-    assert "900 kB of 2 MB of notes/large.bin are here; the same command goes on" in text
+    assert (
+        "900 kB of 2 MB of notes/large.bin are here; run the same command again to resume" in text
+    )
     hub.calls.clear()
     fetched = api.fetch_scene(REFERENCE)
     assert starts(hub) == [900_000]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from nw_base.errors import UsageError
-from nw_scenes.robots import get_robot
+from nw_scenes.robots import _IN_MENAGERIE, get_robot
 from nw_scenes.robots.spec import COLLISION_GROUP, VISUAL_GROUP
 
 GO1 = get_robot("go1")
@@ -177,3 +177,41 @@ def test_the_spec_names_only_what_the_model_has(model):
 def test_a_misspelt_robot_gets_the_nearest_name():
     with pytest.raises(UsageError, match=r"unknown robot 'go_1'; did you mean 'go1'\?"):
         get_robot("go_1")
+
+
+@pytest.mark.parametrize(
+    ("name", "model"),
+    [
+        ("a1", "unitree_a1"),
+        ("g1", "unitree_g1"),
+        ("G1", "unitree_g1"),
+        ("h1", "unitree_h1"),
+        ("unitree-g1", "unitree_g1"),
+        ("spot", "boston_dynamics_spot"),
+        ("t1", "booster_t1"),
+        ("anymal_c", "anybotics_anymal_c"),
+        ("anymal", "anybotics_anymal_b or menagerie:anybotics_anymal_c"),
+        ("cassie", "agility_cassie"),
+        ("barkour_v0", "google_barkour_v0"),
+    ],
+)
+def test_a_robot_that_menagerie_has_is_answered_with_what_to_type(name, model):
+    with pytest.raises(UsageError) as caught:
+        get_robot(name)
+    assert caught.value.message == f"unknown robot {name!r}"
+    assert caught.value.fix.startswith(f"give menagerie:{model}, or your own robot's folder")
+    assert "did you mean" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["b2", "go2w", "h1_2", "anymal_d", "digit"])
+def test_a_robot_that_is_nowhere_is_answered_with_how_to_make_its_folder(name):
+    with pytest.raises(UsageError) as caught:
+        get_robot(name)
+    assert caught.value.fix == (
+        f"give your own robot's folder, such as ./{name} (`nw-eval robots init` makes one)"
+    )
+
+
+def test_the_robots_that_the_answer_names_are_those_of_menagerie():
+    menagerie = pytest.importorskip("mujoco_menagerie")
+    assert set(_IN_MENAGERIE) <= set(menagerie.names())

@@ -324,7 +324,7 @@ def test_robot_yaml_and_a_card_say_how_long_a_camera_takes(tmp_path):
     assert card.model_dump()["cameras"]["left"]["readout"] == 0.0, "the card's digest has it"
     assert {"readout", "exposure"}.isdisjoint(CameraMounting(pitch=0.1).model_dump())
     long = YAML.replace("pitch: 0.3}", "pitch: 0.3, readout: 20}")
-    said = "robot.yaml:7:100: cameras.left.readout: should be less than or equal to 0.1, got 20"
+    said = "robot.yaml:7:100: cameras.left.readout: must be at most 0.1, got 20"
     assert said in faults(tmp_path, long)
 
 

@@ -127,7 +127,7 @@ def test_out_gets_the_model_and_its_meshes_and_nothing_else(model, tmp_path):
         api.init_robot(model, out=tmp_path / "new")
     deeper = api.init_robot(model, out=tmp_path / "robots" / "b2")
     assert deeper.file == tmp_path / "robots" / "b2" / "robot.yaml"
-    with pytest.raises(UsageError, match=r"dog\.xml is no folder"):
+    with pytest.raises(UsageError, match=r"dog\.xml is not a folder"):
         api.init_robot(model, out=model / "b2")
 
 
@@ -292,7 +292,7 @@ def test_numbers_that_no_robot_has_are_refused(model, line, capsys):
     motors = "" if line.startswith("motors") else "motors: [{joints: '*', kp: 60, kd: 2}]\n"
     (model.parent / "robot.yaml").write_text(f"{head}{motors}{line}\n")
     assert left(["robots", "check", f"{model.parent}/"]) == 2
-    assert re.search(r"robot.yaml:[45]:\d+: .*less than or equal to", capsys.readouterr().err)
+    assert re.search(r"robot.yaml:[45]:\d+: .*must be at most", capsys.readouterr().err)
 
 
 def test_show_says_every_figure_and_the_line_that_it_is_from(model, capsys):
@@ -399,5 +399,5 @@ def test_a_fault_of_a_suites_robot_is_told_once_and_not_as_an_unknown_robot_of_t
     (tmp_path / "s.yaml").write_text(f"{suite}scenes: [flat/carpet_room]\nrecord: none\n")
     assert left(["check", "s.yaml"]) == 2
     said = capsys.readouterr().err
-    assert "kp: should be less than or equal to 100000" in said
+    assert "kp: must be at most 100000" in said
     assert "unknown robot" not in said

@@ -173,7 +173,9 @@ def test_a_length_is_read_as_it_is_typed():
     assert typed.second == {"IMG_1.jpg": (2.0, 2.5), "IMG_2.jpg": (3.5, 4.5)}
     assert words_of(typed.second) == "IMG_1.jpg:1.5,2+IMG_2.jpg:3,4"
     for wrong in ("IMG_1.jpg", "IMG_1.jpg:4", ":1,2", "a:1,2+", "a:1,2+a:3,4"):
-        with pytest.raises(UsageError, match=r"is no point of a photograph; .*IMG_1.jpg:412,310"):
+        with pytest.raises(
+            UsageError, match=r"is not a point of a photograph; .*IMG_1.jpg:412,310"
+        ):
             KnownLength.of_words(wrong, "a:1,2", 1.0)
 
 

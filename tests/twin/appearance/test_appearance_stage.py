@@ -88,7 +88,7 @@ def test_a_training_that_was_cut_off_ends_in_the_same_bytes(build, tmp_path, mon
     monkeypatch.setattr(the_stage.Trainer, "step", step)
     assert not (tmp_path / "cut" / "splat.ply").exists()
     _, lines = trained(build, tmp_path / "cut")
-    assert lines[1] == "splat: goes on after step 40 of 120"
+    assert lines[1] == "splat: resumes after step 40 of 120"
     whole, again = (tmp_path / n / "splat.ply" for n in ("whole", "cut"))
     assert whole.read_bytes() == again.read_bytes()
 
@@ -108,9 +108,9 @@ def test_of_few_photographs_some_are_held_out_until_the_figures_are_taken(build,
     splat = (tmp_path / "splat.ply").read_bytes()
     assert splat != (tmp_path / "named" / "splat.ply").read_bytes()
     _, lines = trained(build, tmp_path, options)
-    assert [line for line in lines if "goes on" in line] == [
-        "splat: goes on after step 120 of 120",
-        "splat: goes on after step 24 of 24",
+    assert [line for line in lines if "resumes" in line] == [
+        "splat: resumes after step 120 of 120",
+        "splat: resumes after step 24 of 24",
     ]
     assert (tmp_path / "splat.ply").read_bytes() == splat
 

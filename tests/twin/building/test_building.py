@@ -123,8 +123,8 @@ def photographs(tmp_path):
     [
         ("gone", "room", (), "error: there is nothing at"),
         ("in", "none/..", (), "there is no"),
-        ("in", "file/room", (), "file is no folder"),
-        ("in", "file", (), "file is no folder"),
+        ("in", "file/room", (), "file is not a folder"),
+        ("in", "file", (), "file is not a folder"),
         ("in", "room", ("--robot", "go9"), "unknown robot 'go9'"),
         ("in", "room", ("--name", "../x"), "name '../x': "),
         ("in", "room", ("--name", ""), "name '': "),

@@ -84,7 +84,7 @@ def test_every_camera_model_is_read_as_colmap_wrote_it_and_flattened(tmp_path, m
 def test_a_panorama_is_refused_by_its_name(tmp_path):
     for kind in ("bin", "txt"):
         write_model(tmp_path / kind, camera_of("EQUIRECTANGULAR"), ["a.jpg"], kind)
-        with pytest.raises(SceneError, match="EQUIRECTANGULAR: no flat picture shows a panorama"):
+        with pytest.raises(SceneError, match="EQUIRECTANGULAR: a panorama is not supported"):
             read_model(tmp_path / kind)
 
 

@@ -53,7 +53,7 @@ def test_what_was_found_is_kept_and_the_rest_comes_to_the_same_bytes(few, whole,
     with pytest.raises(KeyboardInterrupt):
         calibrate(few, tmp_path, QUICK, interrupted)
     assert [path.name for path in tmp_path.iterdir()] == [".calibrate.sqlite"]
-    assert "the same command goes on from it" in lines[-1]
+    assert "the same command resumes" in lines[-1]
     lines.clear()
     calibrate(few, tmp_path, QUICK, lines.append)
     before = [line for line in lines if "before, by the calibration that was cut off" in line]

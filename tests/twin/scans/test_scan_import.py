@@ -304,7 +304,7 @@ def test_what_cannot_be_is_refused_by_name_and_nothing_is_left(tmp_path):
         ("scan.ply", "new", {"name": ""}, "name ''"),
         ("scan.ply", "new/deep", {"splat": tmp_path / "none.ply"}, "none.ply: No such file"),
         ("scan.ply", "none/..", {}, "there is no .*none; write the path without"),
-        ("scan.ply", "scan.ply/x", {}, "scan.ply is no folder"),
+        ("scan.ply", "scan.ply/x", {}, "scan.ply is not a folder"),
         ("scan.ply", "new", {"trail": ((0.0, 0.0),)}, "--trail has 1 points"),
         ("scan.ply", "new", {"trail": ((0.0, 0.0), (9.0, 0.0))}, "waypoint 0 at .* no ground"),
         ("scan.ply", "new", {"name": "a b"}, "name 'a b'"),

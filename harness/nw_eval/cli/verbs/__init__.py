@@ -111,7 +111,7 @@ def program_page(description: str) -> str:
     for title, verbs in GROUPS.items():
         lines += [f"{title}:", *(f"  {name:<12}{verb.line}" for name, verb in verbs.items()), ""]
     shown = [f"  {example}" for example in EXAMPLES]
-    more = "`nw-eval COMMAND --help` says more of one, `nw-eval --version` the version."
+    more = "`nw-eval COMMAND --help` shows a command's options."
     return "\n".join([*lines, "Examples:", *shown, "", EXIT_CODES, "", more, *docs_line()])
 
 
@@ -234,7 +234,9 @@ def _refusal(
     values = [event.value] if kind == "InvalidChoice" else _values(option, arguments)
     flag = option.flags[-1] if option.flags else option.metavar
     if not values and (kind == "MissingArgs" or not option.flags):
-        fix = option.help[:1].lower() + option.help[1:]
+        fix = option.help[:1].lower() + option.help[1:].removesuffix(".")
+        if option.choices:
+            fix = f"give one of {', '.join(option.choices)}"
         return UsageError(f"nw-eval {name}: {option.shown} is missing", fix=fix)
     if not values:
         return UsageError(f"{flag} has no value", fix=f"give {flag} {option.metavar}")

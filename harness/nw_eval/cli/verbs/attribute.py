@@ -22,37 +22,34 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Attribute:
-    """Find for each failed trial of a run the latest moment from which a baseline completes it.
+    """Find the last moment of each failed trial from which a baseline still completes it.
 
-    The trial goes its recorded way, and the baseline takes over at moments spread evenly over it,
-    then by bisection after the last of them from which it completes. Between two moments that were
-    tried nothing is known; where it is not so that it completes from all moments before and from
-    none after, the answer says so.
+    Replays the trial and hands control to the baseline at evenly spaced times, then by bisection.
+    The output says if there is no single point of no return.
 
-    Where the run's suite measures scores, it also says when the trial first passed a limit of a
-    joint or motor (`limit_time`) or first broke what the suite expects, and when the baseline did
-    from the same start.
+    If the suite measures scores, the output also shows when the trial first exceeded a joint or
+    motor limit (`limit_time`) or violated what the suite expects, and when the baseline did.
 
-    With --cause: perception or control? Old and new control run with old and new sight, in the
-    trials of the run, and the drop is parted into what is due to either; reports of the run say so.
+    With --cause: perception or control? Runs all four combinations of old and new perception and
+    control and splits the drop between them. The run's reports show the result.
     """
 
     run: tyro.conf.Positional[Path]
-    """A run's folder, with its mcap/."""
+    """A run folder with its mcap/."""
     baseline: str
-    """Who takes over: the policy of a baseline (its name or path), which must be the very one; or,
-    where the run's suite has no such baseline, a policy (a bundle's name, folder or card)."""
+    """The policy that takes over; must be the one the baseline (a name or path) was saved from. If
+    the suite has no such baseline, a policy."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """Where the baseline's policy lies, if not where the baseline says."""
+    """Where the baseline's policy is (default: the path in the baseline)."""
     checkpoint: Checkpoint = None
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
-    """Failed trials to look at, the worst first: each takes about as long as ten others; 10 when
-    absent. With --cause: trials in each scene; the run's own number when absent."""
+    """Failed trials to analyse, worst first; each takes about as long as ten others (default: 10).
+    With --cause: trials per scene (default: the run's number)."""
     cause: bool = False
-    """Exchange sight and control between the run's policy and the baseline's."""
+    """Combine perception and control of the run's policy and the baseline's."""
     out: Path | None = None
-    """Write the answer to this file as well: a .md or a .json. With --cause, the new folder of the
-    four policies' runs; one in the run's folder when absent."""
+    """Write the result to this .md or .json file, too. With --cause, the folder of the four
+    policies' runs (default: one in the run folder)."""
     allow_code: AllowCode = False
     workers: Workers = None
 
@@ -133,11 +130,11 @@ _COLUMNS = ("trial", "ended", "at", "committed at", "before its end", "the basel
 def forecast_line(plan: AttributionPlan) -> str:
     """Return what is to be done, and what it costs."""
     left = plan.failed - plan.chosen - plan.without_log
-    what = f"{plan.baseline} takes over {plural(plan.chosen, 'failed trial')}"
-    cost = f"at most about {plan.minutes:.1f} minutes with --workers {plan.workers}"
+    what = f"{plan.baseline} takes over in {plural(plan.chosen, 'failed trial')}"
+    cost = f"about {plan.minutes:.1f} minutes with --workers {plan.workers}"
     words = [f"{what}, at most {plan.tries} times in each: {cost}"]
     if left > 0:
-        words.append(f"{left} more are left out, --trials {plan.chosen + left} takes them in")
+        words.append(f"{left} more are skipped; --trials {plan.chosen + left} includes them")
     if plan.without_log:
         words.append(f"{plural(plan.without_log, 'failed trial')} without a log")
     return "; ".join(words)
@@ -196,7 +193,7 @@ def _verdict(trial: AttributedTrial) -> dict[str, object]:
 def _cells(trial: AttributedTrial) -> tuple[str, ...]:
     report = trial.report
     if report is None:
-        return (clean(trial.trial), "", "", "", "", "nothing came of it")
+        return (clean(trial.trial), "", "", "", "", "no result")
     committed = report.committed
     return (
         clean(trial.trial),
@@ -211,7 +208,7 @@ def _cells(trial: AttributedTrial) -> tuple[str, ...]:
 def _standing(report: AttributionReport) -> str:
     """Return in few words what the baseline makes of the trial."""
     if report.committed is None:
-        return "fails this start as well"
+        return "fails from the start, too"
     if report.completes_throughout:
         return "completes from the last moment"
     return "completes until then" if report.is_monotone else "completes from some moments"
@@ -248,7 +245,7 @@ def _sentence(trial: AttributedTrial) -> str:
     committed, tried = report.committed, plural(len(report.tries), "moment")
     if committed is None:
         return (
-            f"not the candidate's fault alone: {report.baseline} fails this start as well "
+            f"not only the candidate's fault: {report.baseline} fails from the start, too "
             f"({report.tries[0].end} at {_seconds(report.tries[0].steps, report)} s), and "
             f"completes from none of {tried}"
         )
@@ -259,7 +256,7 @@ def _sentence(trial: AttributedTrial) -> str:
     words = f"committed at {_seconds(committed.step, report)} s, {gap} s before {_event(report)}"
     if report.is_monotone:
         return words
-    own = "" if report.tries[0].completes else f"; {report.baseline} fails this start as well"
+    own = "" if report.tries[0].completes else f"; {report.baseline} fails from the start, too"
     return f"{words}; not monotone: {_spells(report)}{own}"
 
 

@@ -12,6 +12,7 @@ from nw_base.clean import clean
 from nw_base.errors import IncomparableError
 from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -43,12 +44,11 @@ if TYPE_CHECKING:
     listens=True,
 )
 class Save(Verb):
-    """Run what is missing of a baseline, and save it as reports/baselines/<suite>/<name>.parquet.
+    """Run the trials a baseline needs and save it as reports/baselines/<suite>/<name>.parquet.
 
-    Says first about how long it takes. A save that Ctrl-C interrupted goes on when the same command
-    is given again, and writes the same results. A baseline that is there gets this
-    class of machine, too. One that holds for something else is replaced with --renew only, after
-    what moved is shown (exit code 5 without it).
+    Prints an estimate first. Run the same command again to resume. Adds this machine type to an
+    existing baseline. If the suite or scenes changed, --renew is required and the changes are shown
+    (exit code 5 without it).
     """
 
     run: Path | None
@@ -61,26 +61,26 @@ class Save(Verb):
 
 
 @verb_of("list_baselines")
-class List(Verb):
-    """List the baselines of the project and those that are shipped."""
+class List(Printed, Verb):
+    """List the project's baselines and the shipped ones."""
 
     def show(self, found: Sequence[ListedBaseline]) -> str:
         return baseline_table(found)
 
 
 @verb_of("show_baseline")
-class Show(Verb):
-    """Say what a baseline holds for, who saved it and why, and what it holds, scene by scene."""
+class Show(Printed, Verb):
+    """Show what a baseline was saved for, by whom and why, and its results by scene."""
 
     def show(self, found: ShownBaseline) -> str:
         return baseline_page(found)
 
 
 @verb_of("check_baseline", changes=("checkpoint", "render", "allow_code"))
-class Check(Verb):
-    """Say whether a baseline still holds here: suite, scenes, protocol, simulator, policy.
+class Check(Printed, Verb):
+    """Check whether a baseline is compatible: suite, scenes, protocol, simulator, policy.
 
-    Exit code 5 if it does not. Says, too, whether it has results of this class of machine.
+    Exit code 5 if it is not. Also shows whether it has results for this machine type.
     """
 
     def show(self, found: CheckedBaseline) -> str:
@@ -93,11 +93,11 @@ class Check(Verb):
     metavars={"trials": "N%|N"},
     listens=True,
 )
-class Verify(Verb):
-    """Run starts of a baseline again by its own policy, and name each row that differs.
+class Verify(Printed, Verb):
+    """Re-run some of a baseline's trials with its own policy and name each difference.
 
-    Which starts is drawn by an unpredictable seed. Exit code 5 if a row differs, 4 if a
-    trial comes to no result. Nothing is written into the project.
+    The trials are drawn at random. Exit code 5 if a result differs, 4 if a trial has no result. The
+    project is not changed.
     """
 
     goes_on = "interrupted; not all of the trials that were drawn have run"
@@ -107,8 +107,8 @@ class Verify(Verb):
 
 
 @verb_of("diff_baselines")
-class Diff(Verb):
-    """Compare two baselines: what they hold for, means by scene, starts that ended otherwise."""
+class Diff(Printed, Verb):
+    """Compare two baselines: settings, means by scene, and trials that ended differently."""
 
     def show(self, found: BaselineChange) -> str:
         return change_page(found)
@@ -146,7 +146,7 @@ def stratum_words(stratum: Stratum) -> str:
 
 
 def machine_words(machine: Mapping[str, str]) -> str:
-    """Return a class of machine in one line, the processor first."""
+    """Return a machine type in one line, the processor first."""
     names = sorted(machine, key=lambda name: (name != "cpu", name))
     return clean(", ".join(f"{name} {machine[name]}" for name in names), at_most=300)
 
@@ -198,7 +198,7 @@ def _facts(shown: ShownBaseline) -> Iterator[str]:
 def _against_first(panel: Panel, first: Panel) -> str:
     pairs = list(zip(panel.starts, first.starts, strict=True))
     moved = sum(a.trajectory != b.trajectory for a, b in pairs)
-    return f"{moved} of {len(pairs)} starts went another way than on machine 1"
+    return f"{moved} of {len(pairs)} trials differ from machine 1"
 
 
 def _scenes(bank: BaselineResults) -> Iterator[tuple[str, ...]]:
@@ -246,15 +246,15 @@ def whose_doing(change: BaselineChange) -> str:
     moved = any(scene.moved for scene in change.scenes)
     others = sorted(change.parts - {"policy"}) + (["machine"] if change.machine else [])
     if not moved:
-        return "No start went another way."
+        return "No trial changed."
     if "policy" not in change.parts:
-        cause = " and ".join(others) or "something that no field names"
-        return f"The policy is the same: what moved is the doing of the {cause}, of no checkpoint."
+        cause = " and ".join(others) or "an unrecorded cause"
+        return f"The policy is the same: the changes come from the {cause}, not a checkpoint."
     if not others:
-        return "Only the policy differs: what moved is its doing."
+        return "Only the policy differs: the changes come from it."
     return (
-        f"The policy differs, and so does the {' and '.join(others)}: what moved can be attributed "
-        "to none of them alone. Renew the baseline with the earlier policy first, and compare that."
+        f"The policy and the {' and '.join(others)} differ: the changes cannot be attributed to "
+        "one of them. Renew the baseline with the earlier policy first, and compare that."
     )
 
 
@@ -283,13 +283,13 @@ def _verified(verified: VerifiedBaseline) -> Iterator[str]:
         yield f"INVALID: {plural(count, 'row')} of baseline {name} {verb}"
         if not verified.has_panel:
             yield (
-                "it has not been run on this class of machine, whose bits may be others: run it "
-                "where it was saved, or save it here"
+                "it has no results for this machine type, which may compute slightly different "
+                "ones: verify it where it was saved, or save it here"
             )
     equal = verified.ran - len(verified.differing)
     yield (
-        f"run again: {equal} of {plural(verified.drawn, 'trial')} as the baseline says, values and "
-        f"bits, drawn from {starts} by --seed {verified.seed}"
+        f"re-run: {equal} of {plural(verified.drawn, 'trial')} are identical to the baseline, "
+        f"drawn from {starts} by --seed {verified.seed}"
     )
 
 
@@ -298,8 +298,8 @@ _HEADING = (
     "then",
     "now",
     "change",
-    "went another way",
-    "ended or scored otherwise",
+    "trials changed",
+    "ended or scored differently",
 )
 
 
@@ -349,22 +349,22 @@ def _saved(saved: SavedBaseline) -> Iterator[str]:
     if saved.action == "new":
         yield f"saved {saved.file}: {whole}, {saved.file.stat().st_size / 1000:.1f} kB"
     elif saved.action == "unchanged":
-        yield f"{saved.file} has all of this already: {whole}"
+        yield f"{saved.file} already has these results: {whole}"
     elif saved.action == "panel":
         machine = machine_words(manifest.panels[-1].machine)
-        classes = plural(len(manifest.panels), "class", "classes")
-        yield f"saved {saved.file}, which has this class of machine now, too ({classes}): {machine}"
+        classes = plural(len(manifest.panels), "type")
+        yield f"saved {saved.file}, which has this machine type now, too ({classes}): {machine}"
     elif saved.action == "renewed":
         yield f"renewed {saved.file}: {whole}"
     else:
-        yield f"{saved.file} is as it was; --renew replaces it"
+        yield f"{saved.file} did not change; --renew replaces it"
     if saved.run is not None:
         run = str(saved.run)
-        yield f"its rows and logs: {clean(run)}; a page of them: nw-eval report {clean(quote(run))}"
+        yield f"results and logs: {clean(run)}; report: nw-eval report {clean(quote(run))}"
     if saved.may_have_chosen:
         yield (
-            "note: this run is of a training that was watched; if its success made you choose the "
-            "checkpoint, it overstates it: save the baseline with --policy, --checkpoint and "
+            "note: this run is of a watched training; if you chose the checkpoint by its success, "
+            "the success is overstated: save the baseline with --policy, --checkpoint and "
             "--held-out instead of --run"
         )
 
@@ -375,18 +375,18 @@ def _checked(checked: CheckedBaseline) -> Iterator[str]:
     if manifest.name != manifest.policy.name:
         save += f" --name {quote(manifest.name)}"
     if checked.changes:
-        yield f"INVALID: baseline {clean(manifest.name)} does not hold here"
+        yield f"INVALID: baseline {clean(manifest.name)} is not compatible"
         yield from field_lines(checked.changes)
         yield f"renew it with `{clean(save)} --renew`"
         return
-    yield f"baseline {clean(manifest.name)} holds here: suite, scenes, protocol, simulator" + (
+    yield f"baseline {clean(manifest.name)} is compatible: suite, scenes, protocol, simulator" + (
         ", policy" if checked.unchecked is None else ""
     )
     if checked.unchecked is not None:
         yield f"its policy was not compared: {clean(checked.unchecked)}"
     if checked.has_panel:
-        yield "it has results of this class of machine"
+        yield "it has results for this machine type"
         return
-    yield "it has no results of this class of machine; its first one differs in:"
+    yield "it has no results for this machine type; its first machine differs in:"
     yield from field_lines(checked.machine)
     yield f"add one with `{clean(save)}`"

@@ -22,22 +22,21 @@ if TYPE_CHECKING:
     heard=lambda name, word: f"{name}: {word}",
 )
 class BisectSeries(Verb):
-    """Find the first checkpoint of a series that the gate flags as worse than a good one.
+    """Find the first checkpoint of a series that is flagged as worse than a good one.
 
-    Checkpoints are files of weights for the card of --policy, or bundles, in order of age; or the
-    folder of a training, which stands for its checkpoints in order of their steps. Each
-    that is asked for is judged against the baseline of the good one, as `run --baseline` does, by
-    success and by each of `gate.scores` with a `max_drop`; the suite's bars are left out. One
-    before the first flagged may already be worse by less than the gate sees: the result says by how
-    much at most. Exit code 1 if one was flagged, 0 if the bad one was not, 3 if nothing was
-    decided.
+    CHECKPOINT is weights for the card of --policy, or policy folders, oldest first; or the folder
+    of a training, which stands for its checkpoints in order of steps. Each tested checkpoint is
+    compared with the baseline of the good one, by success and by each of `gate.scores` with a
+    `max_drop`. The suite's bars are ignored. A checkpoint before the first flagged one may be
+    slightly worse; the result shows by how much at most. Exit code 1 if a checkpoint was flagged, 0
+    if the bad one was not, 3 if nothing was decided.
     """
 
-    goes_on = "interrupted; the same command goes on"
+    goes_on = "interrupted; run the same command again to resume"
 
     trials: int | None
-    """The most trials of each scene for each checkpoint, on average; `gate.rounds` of the suite
-    when absent."""
+    """Trials per scene for each checkpoint, on average. At most this many (default: the suite's
+    `gate.rounds`)."""
 
     def show(self, found: BisectedSeries) -> str:
         return series_page(found)
@@ -117,8 +116,8 @@ def _worse(run: RunReport | None) -> str:
         return scores
     low, high = against.interval
     return (
-        f", {low:.2f} ({percent_sure(against.alpha_regr)} sure) to {high:.2f} "
-        f"({percent_sure(against.alpha_pass)} sure) worse than the good one{scores}"
+        f", worse than the good one by {low:.2f} ({percent_sure(against.alpha_regr)} confidence) "
+        f"to {high:.2f} ({percent_sure(against.alpha_pass)}){scores}"
     )
 
 
@@ -131,4 +130,4 @@ def _up_to(run: RunReport | None) -> str:
         return ""
     high = max(0.0, against.interval.high)
     sure = percent_sure(against.alpha_pass)
-    return f"; it may already be up to {high:.2f} worse than the good one ({sure} sure)"
+    return f"; at most {high:.2f} worse than the good one ({sure} confidence)"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from nw_base.clean import clean
 from nw_base.errors import StoreError
 from nw_base.plural import plural
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -15,8 +16,8 @@ if TYPE_CHECKING:
 
 
 @verb_of("cache_info")
-class ShowCache(Verb):
-    """Say where the cache of trials lies, how full it is, and of which policies."""
+class ShowCache(Printed, Verb):
+    """Show where the trial cache is, how full it is, and whose results it has."""
 
     def show(self, found: CacheUse) -> str:
         return cache_page(found)
@@ -24,7 +25,7 @@ class ShowCache(Verb):
 
 @verb_of("prune_cache", flags=("limit_gb",), named={"limit_gb": "limit"})
 class PruneCache(Verb):
-    """Remove the trials that have not been used for longest, until the rest is within a size."""
+    """Remove the least recently used trials until the cache fits a size."""
 
     def show(self, found: CacheCleanup) -> str:
         return removed_line(found)
@@ -32,11 +33,10 @@ class PruneCache(Verb):
 
 @verb_of("verify_cache")
 class VerifyCache(Verb):
-    """Read every kept row and log, and remove those that are not what was written.
+    """Check every cached row and log, and remove damaged ones.
 
-    Compares the checksum of each row and the SHA-256 of each log. Exit code 4 if one was damaged;
-    no run would have taken it over. Nothing is run: that trials still come to the results that are
-    kept, each run finds out for 2 % of those that it takes over.
+    Compares each row's checksum and each log's SHA-256. Exit code 4 if one was damaged. Nothing is
+    re-run: each run re-runs 2 % of the trials that it reuses.
     """
 
     def show(self, found: CacheCleanup) -> str:

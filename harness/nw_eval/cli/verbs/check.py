@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Check(Options):
-    """Say what a suite would run: scenes, trials, digests, expected minutes. Runs no physics.
+    """Show what a suite would run: scenes, trials, digests, expected minutes. Runs no physics.
 
-    Takes the options of `run`. Tells everything that is wrong with the suite, its scenes and its
-    policy at once (exit code 2).
+    Takes the options of `run`. Lists all errors in the suite, its scenes and its policy at once
+    (exit code 2).
     """
 
     suite: tyro.conf.Positional[str] = field()
-    """A suite file, or the name of a shipped suite (`nw-eval suites` lists them)."""
+    """A suite file or a shipped suite's name (`nw-eval suites` lists them)."""
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -45,7 +45,7 @@ def forecast_page(forecast: Forecast) -> str:
         which = f"{len(scenes)} of the suite's {all_of_them}"
     count = f"{which}, {scenes[0].trials} in each"
     if forecast.baseline is not None:
-        count = f"{which}; at most so many, until the verdict is settled"
+        count = f"{which}; a maximum: the run stops when the verdict is decided"
     if forecast.shard is not None:
         count = f"{forecast.shard}, of {which}"
     width = max(len(scene.name) for scene in scenes)
@@ -66,7 +66,7 @@ def forecast_page(forecast: Forecast) -> str:
         *_power(forecast.power),
         *(f"no PASS   {reason}" for reason in forecast.obstacles),
         *(f"warning   {sentence}" for sentence in forecast.warnings),
-        f"expect    at most about {forecast.minutes:.1f} minutes with --workers {forecast.workers}",
+        f"expect    about {forecast.minutes:.1f} minutes with --workers {forecast.workers}",
     ]
     return "\n".join(lines)
 
@@ -87,7 +87,7 @@ def _bar(gate: Gate) -> str:
     elif not gate.scores:
         bar = "none (gate.success_rate): the verdict will be RAN"
     else:
-        bar = "no bar of success (gate.success_rate)"
+        bar = "no bar for success (gate.success_rate)"
     for name, asked in gate.scores.items():
         bar += "" if asked.bar is None else f"; {name} by its bar {asked.bar:g} {sure}"
         bar += "" if asked.max_drop is None else f"; {name} by its max_drop {asked.max_drop:g}"
@@ -99,5 +99,5 @@ def _drop(gate: Gate, baseline: str | None, policy: str) -> str:
     if baseline is not None:
         return f"; less than {gate.most_drop:g} below baseline {baseline}"
     if gate.max_drop is not None or gate.baseline not in {None, "none"}:
-        return f"; max_drop will not be judged: no baseline is named for {policy}"
+        return f"; max_drop is ignored: no baseline for {policy}"
     return ""

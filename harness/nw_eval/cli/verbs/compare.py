@@ -8,6 +8,7 @@ from textwrap import fill
 from typing import TYPE_CHECKING
 
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -15,8 +16,8 @@ if TYPE_CHECKING:
 
 
 @verb_of("compare")
-class Compare(Verb):
-    """Put the policies of runs or baselines side by side: ranks, scenes, where they part."""
+class Compare(Printed, Verb):
+    """Compare runs or baselines: ranks, scenes, and where results differ."""
 
     out: Path | None
     picture: Path | None

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Completion:
-    """Print a script that makes a shell complete commands, options and their choices.
+    """Print a shell-completion script for commands, options and their choices.
 
     bash: `nw-eval completion bash > ~/.local/share/bash-completion/completions/nw-eval`.
 
@@ -25,7 +25,7 @@ class Completion:
     """
 
     shell: tyro.conf.Positional[Literal["bash", "zsh", "fish"]]
-    """The shell."""
+    """The shell to complete in."""
 
     def __call__(self) -> int:
         from nw_eval.cli.verbs import forms

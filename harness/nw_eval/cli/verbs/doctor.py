@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor:
-    """Say what this machine offers nw-eval, to be pasted into a bug report.
+    """Show system information for bug reports.
 
-    Versions, the fence round policies, cores, memory, the cache, kernels, GPUs, and which extras
-    are installed. Exit code 4 where something that nw-eval needs is missing or broken, else 0.
+    Shows versions, the sandbox of policies, cores, memory, the cache, kernels, GPUs and installed
+    extras. Exit code 4 if something that nw-eval needs is missing or broken, else 0.
     """
 
     json: bool = False
-    """Print it as JSON."""
+    """Print JSON."""
 
     def __call__(self) -> int:
         from nw_eval.api.doctor import check_up

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import re
 import shutil
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -58,9 +59,9 @@ def options_of(form: type) -> tuple[Option, ...]:
         is_required = field.default is MISSING and field.default_factory is MISSING
         words = " ".join((told.get(field.name) or getattr(conf, "help", None) or "").split())
         if field.default not in (MISSING, None, False, True, (), ""):
-            words += f" (default: {field.default})"
-        if tyro.conf.UseAppendAction in marks and "again" not in words:
-            words += " (repeatable)"
+            words = re.sub(r"( \(default: [^()]*\))?\.$", f" (default: {field.default}).", words)
+        if tyro.conf.UseAppendAction in marks:
+            words += " Repeatable."
         choices = tuple(map(str, get_args(kind))) if get_origin(kind) is Literal else ()
         found.append(Option(field.name, flags, metavar, choices, words.strip(), is_required))
     return tuple(found)
@@ -105,6 +106,8 @@ def told_of(form: type) -> dict[str, str]:
             match field, text:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=v)):
                     told[name] = str(v)
+                case ast.AnnAssign(target=ast.Name(id=name)), _:
+                    told.pop(name, None)  # Its type has the help.
                 case _:
                     pass
     return told
@@ -131,7 +134,7 @@ def verb_page(name: str, form: type, examples: Sequence[str]) -> str:
 def family_page(name: str, lines: Sequence[tuple[str, str]], examples: Sequence[str]) -> str:
     """Return the help of a verb that has others below it, of which `lines` gives name and words."""
     head = [f"usage: nw-eval {name} COMMAND [options]", "", f"{VERBS[name].line.capitalize()}.", ""]
-    more = ["", _filled(f"`nw-eval {name} COMMAND --help` says more of one."), ""]
+    more = ["", _filled(f"`nw-eval {name} COMMAND --help` shows a command's options."), ""]
     listed = _listed(lines, _width([part for part, _ in lines]))
     return _ended([*head, "Commands:", *listed, *more], examples, name)
 
@@ -143,7 +146,7 @@ def _ended(lines: list[str], examples: Sequence[str], name: str) -> str:
 
 
 def _words(option: Option) -> str:
-    return f"{option.help} (required)" if option.is_required and option.flags else option.help
+    return f"{option.help} Required." if option.is_required and option.flags else option.help
 
 
 def _grouped(options: Sequence[Option]) -> Iterator[tuple[str, list[Option]]]:

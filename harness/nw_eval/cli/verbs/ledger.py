@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from nw_base.clean import clean
 from nw_base.plural import plural
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -16,8 +17,8 @@ if TYPE_CHECKING:
 
 
 @verb_of("read_ledger")
-class Ledger(Verb):
-    """Sum up a ledger: gates a year, false alarms, re-rolls, and luck of the best of many."""
+class Ledger(Printed, Verb):
+    """Summarize a ledger: gates per year, false alarms, re-rolls, and how lucky the best are."""
 
     file: Path
 

@@ -11,10 +11,10 @@ from nw_eval.cli.verbs.verb import Verb, verb_of
 
 @verb_of("merge")
 class MergeRuns(Publishing, Verb):
-    """Put the parts of a run (`run --shard`) together in one folder, and give a verdict of it.
+    """Merge the shards of a run (`run --shard`) into one folder and print a verdict.
 
-    Runs nothing. A part or a trial that is missing, two different results of one trial, and parts
-    of different runs are refused, by name.
+    Nothing is re-run. A missing shard or trial, two different results of one trial, or shards of
+    different runs are errors.
     """
 
     leaves_verdict: ClassVar = True  # In a file, whatever becomes of the print.
@@ -22,18 +22,17 @@ class MergeRuns(Publishing, Verb):
     runs: tuple[Path, ...]
     out: Path
     ledger: Path | None = None
-    """Add the verdict to this ledger of verdicts (`nw-eval ledger` sums it up)."""
+    """Append the verdict to this ledger (`nw-eval ledger` summarizes it)."""
 
     def __call__(self) -> int:
         from nw_eval import api
         from nw_eval.api.ledgers import check_ledger
-        from nw_eval.cli.verbs.options import summary
 
         with self.publishing(str(self.out)) as judged:
             if self.ledger is not None:
                 check_ledger(self.ledger)
             judged.run = outcome = self.call()
-            print(summary(outcome, folded=self.on_github))
+            print(self.printed(outcome, outcome.exit_code))
             if self.ledger is not None:
                 api.record_verdict(outcome, self.ledger)
             judged.code = outcome.exit_code

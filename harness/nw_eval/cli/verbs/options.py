@@ -1,4 +1,4 @@
-"""Options that several verbs share: what is to be run, and where a judged run is shown.
+"""Options that several verbs share: what to run, and where to show a judged run.
 
 `Options` are those of `run` and `check`, `Publishing` those of `run`, `gate`, `merge` and `report`.
 """
@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 import tyro
 
 from nw_base.errors import NwEvalError, UsageError
-from nw_base.words import PanelKind
+from nw_base.words import Backend, Collision, PanelKind, Record
+from nw_eval.cli.verbs.shared import Checkpoint, Scenes, Workers
 from nw_gate.results.request import Request
 
 if TYPE_CHECKING:
@@ -30,12 +31,49 @@ class Options(Request):
     """A request with its letters. Order and help of the options are those of its fields."""
 
     suite: tyro.conf.Positional[str | None] = None
+    """A suite file or a shipped suite's name (`nw-eval suites` lists them). Optional with
+    --resume."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
+    """A shipped policy's name, a policy folder, a card, or hub:org/name[@revision] (default: the
+    suite's policy)."""
+    robot: str | None = None
+    """A robot's name, such as go1, its folder, hub:org/name[@revision] or menagerie:NAME (default:
+    the suite's robot)."""
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
-    scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="GLOB ...")] = None
+    """Trials per scene, a maximum when comparing with a baseline (default: the suite's number)."""
+    checkpoint: Checkpoint = None
+    scenes: Scenes = None
+    seed: int | None = None
+    """Use a different seed: new initial states in the same scenes (default: the suite's)."""
     panel: Annotated[PanelKind | None, tyro.conf.arg(name="seed-set")] = None
-    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Worker processes; the number of cores when absent."""
+    """pinned uses the suite's seed. fresh derives a seed from the checkpoint's digest, to confirm a
+    release (default: pinned)."""
+    shard: str | None = None
+    """I/N runs only shard I of N. `nw-eval merge` merges the shards and judges them."""
+    time_limit: float | None = None
+    """Wall time, in seconds, after which a trial counts as hung (default: generous)."""
+    memory_limit: str | None = None
+    """Memory of a worker and its child processes, such as 2GB or 1.5GiB. A trial that uses more
+    ends as crashed (default: no limit)."""
+    collision: Collision | None = None
+    """How scan meshes collide: terrain compiles them and is fast; triangles is exact and slow
+    (default: the suite's choice, else terrain)."""
+    render: Backend | None = None
+    """The splat renderer; it never falls back to another one (default: cpu)."""
+    baseline: str | None = None
+    """The baseline to compare with: a name, a file, or none (default: the suite's baseline if the
+    policy is the suite's, else none)."""
+    baseline_policy: str | None = None
+    """The baseline's policy, needed on a machine type that the baseline has no results for
+    (default: the path in the baseline)."""
+    recheck: int | None = None
+    """Initial states to re-run per scene when the policy is the baseline's own; the baseline
+    supplies the other results (default: 1)."""
+    record: Record | None = None
+    """Trials whose MCAP logs contain camera images (default: the suite's choice)."""
+    allow_code: bool = False
+    """Allow Python code of the policy's card (confined), of sensors and of the suite's scores."""
+    workers: Workers = None
 
     @property
     def request(self) -> Request:
@@ -56,23 +94,25 @@ class Publishing:
     """Where a verb shows the run that it judged. A surface that cannot be written is a warning."""
 
     junit: Path | None = None
-    """Write a JUnit file here: a test case for each scene, and one for the verdict."""
+    """Write a JUnit file here, with a test case per scene and one for the verdict."""
     github: bool = False
-    """Write what GitHub's runner reads: step summary, outputs, annotations, groups.
-    On by itself where GITHUB_ACTIONS is true."""
+    """Write GitHub's step summary, outputs, annotations and log groups (default: on in GitHub
+    Actions)."""
     no_github: bool = False
-    """Write nothing of that, also there."""
+    """Turn GitHub output off."""
     comment: Path | None = None
-    """Write the Markdown of a comment on a pull request here; nothing is posted."""
+    """Write a Markdown comment for a pull request here; nothing is posted."""
     track: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TRACKER[,TRACKER]")
     ] = ()
-    """Show the run in a tracker, on the run of its checkpoint: wandb, mlflow, tensorboard."""
+    """Send the run to trackers, next to its checkpoint's run: wandb, mlflow, tensorboard."""
     reporter: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME[=PATH]")
     ] = ()
-    """Let a reporter show the run: junit=PATH, comment=PATH, a tracker, or one that an installed
-    package brings along. May be given again."""
+    """Show the run with a reporter: junit=PATH, comment=PATH, a tracker, or a plugin's."""
+
+    json: bool = False
+    """Print the verdict as JSON, and no GitHub output."""
 
     @property
     def shows_one_run(self) -> bool:
@@ -109,10 +149,17 @@ class Publishing:
         Raises:
             UsageError: it is asked for, and its opposite too.
         """
-        if self.github and self.no_github:
-            raise UsageError("--github and --no-github exclude each other", fix="drop one of them")
+        for name, given in (("--no-github", self.no_github), ("--json", self.json)):
+            if self.github and given:
+                raise UsageError(f"--github and {name} exclude each other", fix="drop one of them")
         here = os.environ.get("GITHUB_ACTIONS") == "true"
-        return self.github or (here and not self.no_github)
+        return self.github or (here and not self.no_github and not self.json)
+
+    def printed(self, judged: RunReport, code: int) -> str:
+        """Return what is printed of a judged run: the tables and the verdict, or JSON."""
+        from nw_eval.cli.verbs.printed import judged_json
+
+        return judged_json(judged, code) if self.json else summary(judged, folded=self.on_github)
 
     def _surfaces(self) -> Surfaces:
         from nw_eval import api

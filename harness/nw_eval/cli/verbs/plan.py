@@ -23,35 +23,35 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanTrials:
-    """Say how many trials detect a drop against a baseline, and what else the gate would see.
+    """Compute how many trials detect a drop against a baseline, and what else the gate detects.
 
-    Simulates the gate from the scores of a baseline, or of a run of the suite. Of a suite with a
-    bar and no baseline it says how many trials the bar needs, and who passes. Runs no physics.
-    `check` says what would run; this one what it would show. With --shards it says instead into
-    which parts a run goes, each of which a machine of its own runs (`run --shard`).
+    Simulates the gate with the scores of a baseline or of a run of the suite. For a suite with a
+    bar and no baseline, it computes how many trials the bar needs. Runs no physics. With --shards
+    it lists the shards of a run instead; each shard runs on a machine of its own (`run --shard`).
     """
 
     suite: Suite
     detect: float | None = None
-    """Drop of mean success to detect; the suite's gate.max_drop when absent."""
+    """Drop of mean success to detect (default: the suite's `gate.max_drop`)."""
     baseline: str | None = None
-    """The baseline to compare with, by name or path; when absent the suite's gate.baseline, or the
-    only one that there is of the suite."""
+    """The baseline to compare with, by name or path (default: the suite's `gate.baseline`, else its
+    only baseline)."""
     run: Path | None = None
-    """In place of a baseline, a run of the suite: its scores are taken for the baseline's."""
+    """Use the scores of this run of the suite in place of a baseline's."""
     out: Path | None = None
-    """Draw the curve into this file: a PNG."""
+    """Draw the curve into this PNG."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Worker processes to estimate minutes with; the number of cores when absent."""
+    """Worker processes assumed for the estimate in minutes (default: one per core)."""
 
     shards: int | None = None
-    """Cut a run into so many parts."""
+    """Split a run into this many shards."""
     json: bool = False
-    """With --shards: print them as the JSON of a GitHub matrix, in one line."""
+    """With --shards: print the JSON of a GitHub matrix, in one line."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """With --shards: as for `run`, and so are the next two."""
+    """With --shards, as the next two: a policy's name, folder or card (default: the suite's
+    policy)."""
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
-    """Trials per scene, against a baseline at most."""
+    """Trials per scene (default: the suite's number)."""
     scenes: Scenes = None
 
     def __call__(self) -> int:
@@ -119,11 +119,11 @@ def bar_plan_page(planned: BarPlan) -> str:
         (f"{truth:.3f}", *(f"{100 * share:.0f} %" for share in shares))
         for truth, shares in planned.curve
     ]
-    sure = f"{100 * planned.confidence:.4g} % confidence"
+    sure = f"({100 * planned.confidence:.4g} % confidence)"
     size = f"{plural(planned.trials, 'trial')} in each of {plural(planned.scenes, 'scene')}"
     lines = [
         f"suite     {planned.suite}: {size}",
-        f"bar       success at least {planned.bar:g} ({sure}); no baseline",
+        f"bar       success at least {planned.bar:g} {sure}; no baseline",
         f"needed    {least} in each scene, if none of them fails (--trials {planned.needed})",
         *(f"no PASS   {reason}" for reason in planned.obstacles),
         "",
@@ -151,7 +151,7 @@ def trial_plan_page(planned: TrialPlan) -> str:
         *_curve(planned),
         "",
         "Simulated, 1,000 gates at each drop: the standard error of a share is at most 1.6 %.",
-        "Between tolerate and max_drop either verdict is legitimate.",
+        "Between tolerate and max_drop, both verdicts are correct.",
         *(line for each in planned.scores for line in _score_lines(each)),
     ]
     return "\n".join(lines)
@@ -180,8 +180,8 @@ def _score_lines(found: ScoreForecast) -> list[str]:
 
 
 def _bank(outset: Outset) -> str:
-    starts = f"{outset.starts} starts in each scene"
-    return starts if outset.known else f"as a baseline of {starts} would have it"
+    starts = f"{outset.starts} initial states per scene"
+    return starts if outset.known else f"simulated for a baseline of {starts}"
 
 
 def _detection(planned: TrialPlan) -> str:
@@ -207,12 +207,12 @@ def _within(planned: TrialPlan, shares: Sequence[float], what: str) -> str:
     ]
     if len(parts) < len(found):
         most = f"{100 * shares[-1]:.0f} %"
-        parts.append(f"in no more than {most} however many of the starts are run")
+        parts.append(f"at most in {most}, even with all initial states")
     return f"{what} {', '.join(parts)}"
 
 
 def _trials(planned: TrialPlan, trials: int) -> str:
-    return f"{plural(trials, 'trial')} ({planned.minutes(trials):.1f} minutes)"
+    return f"{plural(trials, 'trial')} (about {planned.minutes(trials):.1f} minutes)"
 
 
 def _curve(planned: TrialPlan) -> list[str]:
@@ -230,7 +230,7 @@ def _curve(planned: TrialPlan) -> list[str]:
 def shard_page(planned: ShardPlan) -> str:
     """Return the parts as lines of text: what to type for each, and about what it takes."""
     count = len(planned.parts)
-    rows = [("part", "trials", "minutes")]
+    rows = [("shard", "trials", "minutes")]
     rows += [
         (f"--shard {index}/{count}", str(part.trials), f"{part.minutes:.1f}")
         for index, part in enumerate(planned.parts, start=1)
@@ -238,11 +238,11 @@ def shard_page(planned: ShardPlan) -> str:
     most = "at most " if planned.parts[0].baseline is not None else ""
     return "\n".join(
         [
-            f"suite     {planned.suite}: {most}{plural(planned.trials, 'trial')} in {count} parts",
+            f"suite     {planned.suite}: {most}{plural(planned.trials, 'trial')} in {count} shards",
             "",
             *aligned(rows, right=(1, 2)),
             "",
-            "`nw-eval merge RUN... --out FOLDER` puts them together, and judges the whole.",
+            "`nw-eval merge RUN... --out FOLDER` merges and judges them.",
         ]
     )
 

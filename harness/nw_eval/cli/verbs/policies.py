@@ -10,6 +10,7 @@ from nw_base.errors import UsageError
 from nw_base.plural import plural
 from nw_eval.cli.terminal.interruption import stopped_by_signals
 from nw_eval.cli.terminal.lines import aligned, fetched_lines
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -27,28 +28,28 @@ if TYPE_CHECKING:
 
 
 @verb_of("list_policies")
-class List(Verb):
-    """List the policies that can be asked for by name."""
+class List(Printed, Verb):
+    """List the available policies."""
 
     def show(self, found: Sequence[ListedPolicy]) -> str:
         return policy_table(found)
 
 
 @verb_of("show_policy", changes=("checkpoint", "allow_code"))
-class Show(Verb):
-    """Say what a card says: every term, every joint, whatever is not by default, the checkpoint."""
+class Show(Printed, Verb):
+    """Show a card: all terms, joints, settings that are not defaults, and the checkpoint."""
 
     def show(self, found: CardSummary) -> str:
         return card_page(found)
 
 
 @verb_of("check_policy", changes=("checkpoint", "allow_code"))
-class Check(Verb):
-    """Run a policy for some seconds: range of every term, dead inputs, NaN, wrong signs and orders.
+class Check(Printed, Verb):
+    """Run a policy for a few seconds and check its terms, inputs, signs and orders.
 
-    In the flat room, a policy that sees a velocity command is also commanded ahead, sideways and in
-    turns, and other cards are tried if it stumbles or misses a command; not so in another --scene.
-    Says `no fault found`, or what is wrong and what the card should say (exit code 2).
+    In the flat room, a policy with a velocity command is also commanded forward, sideways and in
+    turns. If it stumbles or misses a command, other cards are tried. Prints `no fault found`, or
+    each fault and what the card should say (exit code 2).
     """
 
     def show(self, found: ProbeReport) -> str:
@@ -63,10 +64,10 @@ class Init(Verb):
     """Inspect a checkpoint, without running it, and write a first card beside it.
 
     Only a TorchScript file that hides the size of its one input is run, on zeros and confined.
-    Files beside it, above it, or in `params`, `configs` or `io_descriptors` there, say what it does
-    not: deploy.yaml, IO_descriptors.yaml, env.yaml, agent.yaml, and the configs of rl_sar,
-    legged_rl_deploy, unitree_rl_gym and others. The card says which file gave which line. --out is
-    a file here; that of `robots init` is a folder, since a robot has several files.
+    Missing information is read from files beside it, above it, or in `params`, `configs` or
+    `io_descriptors`: deploy.yaml, IO_descriptors.yaml, env.yaml, agent.yaml, and the configs of
+    rl_sar, legged_rl_deploy, unitree_rl_gym and others. The card names the source of each line.
+    --out is a file; that of `robots init` is a folder.
     """
 
     def show(self, found: CardDraft) -> str:
@@ -98,11 +99,11 @@ class Serve(Verb):
 
 @verb_of("fetch_policy", named={"reference": "policy"})
 class FetchPolicy(Verb):
-    """Fetch a policy as its hub has it now; runs use it from then on, without a network.
+    """Download a policy's current version from its hub.
 
-    Nothing of it is run, and the token that it needs is not needed again. A download that breaks
-    goes on where it broke when the command is given again. HF_TOKEN or `hf auth login` says who you
-    are, HF_ENDPOINT which hub. Needs the extra `hub`.
+    Runs then use this copy and need no network. Nothing is executed. Run the same command again to
+    resume a download. HF_TOKEN or `hf auth login` sets the user, HF_ENDPOINT the hub. Needs the
+    extra `hub`.
     """
 
     def show(self, found: Fetched) -> str:

@@ -23,34 +23,34 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """Run a recorded trial again from its log, and say whether it ends in the same bits.
+    """Re-run a recorded trial from its log and check that the results are identical.
 
-    With --from another policy takes over at that second, from exactly the recorded state; until
-    then it looks on. With --layout or --rrd the log is shown as it is, and nothing is run.
+    With --from, another policy takes control at that second, from the recorded state. With --layout
+    or --rrd, the log is shown and nothing is re-run.
     """
 
     log: tyro.conf.Positional[Path]
     """A trial's MCAP file."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """The bundle that made it, when it has moved since; with --from, the one that takes over."""
+    """The recorded policy, if it moved; with --from, the policy that takes control."""
     checkpoint: Checkpoint = None
     start: float = 0.0
-    """Restore the last recorded state at or before this second, instead of the beginning."""
+    """Start from the last recorded state at or before this second."""
     takeover: Annotated[float | None, tyro.conf.arg(name="from", metavar="FLOAT")] = None
-    """The second at which --policy, or the recorded card with --checkpoint, takes over."""
+    """The second at which --policy, or the recorded card with --checkpoint, takes control."""
     picture: Path | None = None
     """Write the trial's contact sheet (third person and robot's eye) to this PNG."""
     video: Path | None = None
-    """Film it in real time, third person beside the policy's own view, to this MP4 (needs
+    """Film the trial in real time, third person beside the policy's view, to this MP4 (needs
     nw-eval[video])."""
     layout: Viewer | None = None
-    """Print a layout of the log to import in Foxglove or Lichtblick; for Rerun, write a blueprint
+    """Print a layout of the log to import in Foxglove or Lichtblick. For Rerun, write a blueprint
     beside the log (needs nw-eval[rerun]) and print the commands that use it."""
     out: Path | None = None
-    """Where --layout writes instead: a .json, or for Rerun an .rbl. With --from, where the log of
-    the new trial goes, an .mcap that can be replayed."""
+    """The file that --layout writes: a .json, or an .rbl for Rerun. With --from, the new trial's
+    log: an .mcap."""
     rrd: Path | None = None
-    """Write the log as a recording of Rerun, an .rrd (needs nw-eval[rerun])."""
+    """Write the log as a Rerun recording, an .rrd (needs nw-eval[rerun])."""
     allow_code: AllowCode = False
 
     def __call__(self) -> int:

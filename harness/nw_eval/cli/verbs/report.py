@@ -17,32 +17,31 @@ _NAMED = 4  # of what was skipped
 
 @dataclass(frozen=True, kw_only=True)
 class Report(Publishing):
-    """Judge a finished or interrupted run again from its rows, and write its report.
+    """Judge a finished or interrupted run from its saved results and write its report.
 
-    Of several runs, write one page that lists them and shows trends by scene; their own pages stay
-    as they are.
+    For several runs, write one page that lists them and shows trends by scene. The runs' own pages
+    do not change.
     """
 
     leaves_verdict: ClassVar = True  # In a file, whatever becomes of the print.
 
     runs: tyro.conf.Positional[tuple[Path, ...]]
-    """The folder of a run, or of several. Of several what is no run is skipped: a glob may find
-    pages and badges of before."""
+    """One or more run folders. Folders without a run are skipped: a glob may also match old pages
+    and badges."""
     out: Path | None = None
-    """Where to write the Markdown, with the page in HTML beside it; the run's own report.md and
-    report.html when absent. Of several runs, where to write their page; when absent, index.html
-    in the folder that all of them lie in."""
+    """The Markdown file to write, with an HTML page beside it (default: the run's report.md and
+    report.html). For several runs, their page (default: index.html in their common folder)."""
     open: bool = False
-    """Show the page in HTML in a browser."""
+    """Open the HTML page in a browser."""
     site: Path | None = None
-    """Write a leaderboard over the runs into this folder, to be published as it is: policies by
-    suites and tasks, scenes with pictures, an index of the runs and their reports, badges. A site
-    that is there is replaced."""
+    """Write a leaderboard of the runs into this folder, ready to publish: policies by suite and
+    task, scenes with pictures, the runs with their reports, badges. An existing leaderboard is
+    replaced."""
     title: str | None = None
-    """Of the page over several runs, or of the leaderboard."""
+    """Title of the page or of the leaderboard."""
     pictures: bool = True
-    """Without drawings of the built-in scenes on a page over several runs. A drawing takes about a
-    second, and is kept in the cache."""
+    """Do not draw built-in scenes on a page of several runs. A drawing takes about a second and is
+    cached."""
 
     def __call__(self) -> int:
         if self.site is not None:
@@ -55,7 +54,6 @@ class Report(Publishing):
         from nw_base.errors import UsageError
         from nw_eval import api
         from nw_eval.cli.terminal.last_words import show
-        from nw_eval.cli.verbs.options import summary
 
         if self.title is not None:
             raise UsageError(
@@ -64,7 +62,7 @@ class Report(Publishing):
             )
         with self.publishing(str(self.runs[0])) as judged:
             judged.run = outcome = api.report(self.runs[0], out=self.out)
-            print(summary(outcome, folded=self.on_github))
+            print(self.printed(outcome, outcome.exit_code))
             if self.open and outcome.html is not None:
                 show(outcome.html)
             judged.code = outcome.exit_code

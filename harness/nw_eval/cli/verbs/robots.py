@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json as jsons
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_base.clean import clean
 from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned, fetched_lines
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -24,31 +23,28 @@ FALLS = 1
 
 
 @verb_of("list_robots")
-class List(Verb):
-    """List the robots that can be asked for by name: built in, in ./robots, and of packages."""
+class List(Printed, Verb):
+    """List the available robots: built in, in ./robots, and of plugins."""
 
     def show(self, found: Sequence[ListedRobot]) -> str:
         return robot_table(found)
 
 
 @verb_of("show_robot")
-class Show(Verb):
-    """Say what a robot is: joints, motors, feet, camera, mass, and which line says each of them."""
-
-    json: bool = False
-    """Print it as JSON."""
+class Show(Printed, Verb):
+    """Show a robot: joints, motors, feet, camera, mass, and which line defines each."""
 
     def show(self, found: RobotSummary) -> str:
-        return jsons.dumps(asdict(found), indent=2) if self.json else robot_page(found)
+        return robot_page(found)
 
 
 @verb_of("init_robot")
 class Init(Verb):
     """Derive a first robot.yaml from a model file, drop the robot for 2 s, and write it.
 
-    It lies beside the model, or in the folder above that holds model and meshes. Each line says
-    where its value is from; `CHECK` marks a guess. --out is a folder here; that of `policies init`
-    is a file, the card.
+    The file is written beside the model, or in the folder above that has model and meshes. Each
+    line names its source; `CHECK` marks a guess. --out is a folder; that of `policies init` is a
+    file.
     """
 
     def show(self, found: RobotDraft) -> str:
@@ -57,11 +53,11 @@ class Init(Verb):
 
 
 @verb_of("check_robot")
-class Check(Verb):
-    """Stand a robot for 2 s in its pose, with its gains. Exit code 1 if it does not stand.
+class Check(Printed, Verb):
+    """Let a robot stand for 2 s with its pose and gains. Exit code 1 if it falls.
 
-    Says its feet, motors, contacts with itself and height, and draws it from outside and from its
-    eye. One with fewer than three feet, which only a policy balances, is held upright.
+    Shows its feet, motors, self-contacts and height, and draws it from outside and through its
+    camera. A robot with fewer than three feet is held upright.
     """
 
     out = Path("robot.png")
@@ -75,10 +71,10 @@ class Check(Verb):
 
 @verb_of("fetch_robot", named={"reference": "robot"})
 class Fetch(Verb):
-    """Fetch a robot as its hub, or MuJoCo Menagerie, has it now; runs use it from then on.
+    """Download a robot's current version from its hub or from MuJoCo Menagerie.
 
-    Nothing of it is run, and no network is asked again. Robots of a hub need the extra `hub`, those
-    of Menagerie the extra `robots`.
+    Runs then use this copy and need no network. Nothing is executed. Hub robots need the extra
+    `hub`, Menagerie robots the extra `robots`.
     """
 
     def show(self, found: Fetched) -> str:

@@ -17,44 +17,43 @@ from nw_eval.cli.verbs.options import Options, Publishing
 
 @dataclass(frozen=True, kw_only=True)
 class Run(Publishing, Options):
-    """Roll a checkpoint out through a suite, write the evidence, and give a verdict.
+    """Evaluate a checkpoint on a suite, save the results and print a verdict.
 
-    A suite without a bar (`gate.success_rate`) is only run: its verdict is RAN, exit code 0.
+    A suite without a bar (`gate.success_rate`) only runs: its verdict is RAN, exit code 0.
     """
 
     leaves_verdict: ClassVar = True  # In a file, whatever becomes of the print.
 
     out: Path | None = None
-    """The run's folder; `reports/<suite>-<policy>-<time>-<digest>` when absent."""
+    """The run's folder (default: `reports/<suite>-<policy>-<time>-<digest>`)."""
     resume: Path | None = None
-    """The folder of an interrupted run to finish: what is not given is as the run was begun.
-    Other trials, scenes, record, time or memory limit may be given with it.
-    A robot, policy, checkpoint, seed, renderer or collision that makes other trials is refused."""
+    """Finish the interrupted run in this folder. Options that are not given keep their values.
+    Trials, scenes, record and limits may change; robot, policy, checkpoint, seed, renderer and
+    collision may not."""
 
     label: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")
     ] = ()
-    """What you call the run, such as training_run=may-3, in its pages and in an index of runs;
-    beside what CI's variables say of repository, commit, branch, pull_request, job and job_url.
-    May be given again."""
+    """A label for the run's pages and for indexes of runs, such as training_run=may-3. CI's
+    repository, commit, branch, pull_request, job and job_url are added."""
     ledger: Path | None = None
-    """Add the verdict to this ledger of verdicts (`nw-eval ledger` sums it up)."""
+    """Append the verdict to this ledger (`nw-eval ledger` summarizes it)."""
     in_process: bool = False
-    """Run trials in this very process, one after another, so that `breakpoint()` works.
-    For a policy that you trust: nothing confines it, and nothing ends it if it hangs."""
+    """Run trials in this process, one after another, so that `breakpoint()` works. Only for
+    policies that you trust: nothing confines them or stops a hang."""
     no_cache: bool = False
-    """Run every trial. Results of earlier runs of the very same trials are taken over otherwise,
-    but for 2 % of them, which run again and are compared (`nw-eval cache`)."""
+    """Run every trial. By default, results of identical earlier trials are reused, and 2 % of them
+    are re-run as a check (`nw-eval cache`)."""
 
     all_rounds: bool = False
-    """Run all trials. Against a baseline a run ends otherwise once the verdict is settled, and
-    where the policy is the baseline itself its results are taken over but for --recheck."""
+    """Run all trials. By default, a comparison stops when the verdict is decided, and the
+    baseline's own policy reuses the baseline's results."""
     engine: Engine = "local"
-    """Where trials run: in processes of this machine, or on the nodes of a Ray cluster.
-    Rows are the same; --resume may use another engine than the run began with."""
+    """Run trials in processes of this machine (local) or on the nodes of a Ray cluster (ray).
+    Results are identical, and --resume may switch."""
     address: str | None = None
-    """With --engine ray: auto, host:port of the cluster's head, or ray://host:port.
-    A cluster of this machine is started for the run when absent."""
+    """With --engine ray: auto, host:port of the cluster's head, or ray://host:port (default: start
+    a cluster on this machine)."""
 
     def __call__(self) -> int:
         from nw_base.errors import UsageError
@@ -62,7 +61,6 @@ class Run(Publishing, Options):
         from nw_eval.api.ledgers import check_ledger
         from nw_eval.cli.terminal.interruption import INTERRUPTED
         from nw_eval.cli.terminal.progress import RunProgress
-        from nw_eval.cli.verbs.options import summary
         from nw_gate.results.labels import typed_labels
 
         with self.publishing(str(self.suite or self.resume or "suite")) as judged:
@@ -91,7 +89,7 @@ class Run(Publishing, Options):
                     listener=progress,
                 )
             judged.code = outcome.exit_code
-            print(summary(outcome, folded=self.on_github))
+            print(self.printed(outcome, judged.code))
             # An interruption that left no trial missing has interrupted nothing.
             if outcome.interrupted and outcome.verdict.verdict == "INFRASTRUCTURE":
                 tell(f"interrupted; continue with --resume {outcome.folder}")

@@ -13,6 +13,7 @@ import tyro
 from nw_base.clean import clean
 from nw_base.errors import SceneError
 from nw_base.plural import in_words, plural
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -21,16 +22,16 @@ if TYPE_CHECKING:
 
 
 @verb_of("list_scenes")
-class List(Verb):
-    """List scenes with their waypoints, split (`split:eval` names its scenes) and obstacles."""
+class List(Printed, Verb):
+    """List scenes with their waypoints, split (`split:eval` selects one) and obstacles."""
 
     def show(self, found: Sequence[ListedScene]) -> str:
         return scene_table(found)
 
 
 @verb_of("show_scene", named={"reference": "scene"})
-class Show(Verb):
-    """Say everything about one scene, and draw it from above with its trail and heights."""
+class Show(Printed, Verb):
+    """Show a scene, and draw it from above with its course and heights."""
 
     out: Path | None
 
@@ -39,16 +40,16 @@ class Show(Verb):
 
 
 @verb_of("check_scenes", without=("policy",), named={"references": "scenes"})
-class Check(Verb):
-    """Find what is wrong with scenes: files, start, trail, splat. Exit code 2 if any is.
+class Check(Printed, Verb):
+    """Check scenes for errors: files, start, course, splat. Exit code 2 on an error.
 
-    Along the course: ground that does not carry the robot's feet, steps and gaps that its legs are
-    too short for, and a splat that does not show its camera what the mesh has there.
+    Along the course it checks for ground that does not support the robot's feet, steps and gaps
+    that its legs cannot pass, and a splat that does not show what the mesh has.
     """
 
     out: Path | None
     policy: str | None = None
-    """With --out: the policy of the suite. One that nw-eval has a card of when absent."""
+    """With --out: the policy of the suite (default: one that has a card for the robot)."""
 
     def more(self) -> dict[str, Any]:
         return {"policy": self.policy}
@@ -64,24 +65,25 @@ class Check(Verb):
 
 @verb_of("render_scenes", listens=True)
 class Render(Verb):
-    """Draw scenes from the robot's eye and from outside on one sheet; by mesh without a splat."""
+    """Draw scenes through the robot's camera and from outside on one sheet."""
 
     out = Path("scenes.png")
 
 
 @dataclass(frozen=True, kw_only=True)
 class FetchScenes:
-    """Fetch places as their hub has them now; runs use them from then on, without a network.
+    """Download the current version of scenes from their hub.
 
-    A download that breaks goes on where it broke when the command is given again. HF_TOKEN or
-    `hf auth login` says who you are, HF_ENDPOINT which hub. Needs the extra `hub`.
+    Runs then use this copy and need no network. Nothing is executed. Run the same command again to
+    resume a download. HF_TOKEN or `hf auth login` sets the user, HF_ENDPOINT the hub. Needs the
+    extra `hub`.
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
-    """hub:org/name, hub:org/name@revision, neverwhere:NAME of the published release, or real:NAME,
-    which are real places."""
+    """hub:org/name, hub:org/name@revision, neverwhere:NAME of the published release, or real:NAME
+    for a real environment."""
     file: Path | None = None
-    """Of real:NAME: its file, fetched on another machine, which is compared with what is known."""
+    """For real:NAME: its file, downloaded on another machine. Its digest is checked."""
 
     def __call__(self) -> int:
         from nw_base.errors import UsageError
@@ -99,10 +101,10 @@ class FetchScenes:
 
 @verb_of("push_scene", named={"folder": "scene"})
 class PushScene(Verb):
-    """Put a scene folder into a data set of a hub, as one commit. Needs the extra `hub`.
+    """Upload a scene folder to a hub data set, as one commit. Needs the extra `hub`.
 
-    The files that the scene is made of are pushed, README and licence if they lie beside them, and
-    nothing else. A scene that `scenes check` finds errors in is not.
+    Uploads the files of the scene, README and licence, and nothing else. A scene with errors
+    (`scenes check`) is not uploaded.
     """
 
     def show(self, found: PushedScene) -> str:

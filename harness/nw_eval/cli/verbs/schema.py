@@ -16,7 +16,7 @@ class Schema(Verb):
 
     kind = "suite"
     out: Path | None
-    """Where to write it; standard output when absent."""
+    """The file to write (default: standard output)."""
 
     def show(self, found: Mapping[str, Any]) -> str:
         return json.dumps(found, indent=2) if self.out is None else ""

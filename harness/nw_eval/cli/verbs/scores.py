@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 @verb_of("log_scores", named={"scores": "score", "topics": "topic"})
 class Scores(Verb):
-    """Compute scores from a log: of a trial of a run, or of a robot (MCAP, ROS 2 bag).
+    """Compute scores from a log: of a run's trial, or of a robot (MCAP, ROS 2 bag).
 
-    A run's trial is led along its log again, and measured by the same code as in the run. A robot's
-    log gives the scores that its topics allow, and says which topic the others need.
+    A run's trial is replayed and measured by the same code as in the run. A robot's log gives the
+    scores that its topics allow; for the others, the missing topic is shown.
     """
 
     json: bool = False

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from nw_eval.cli.verbs.printed import json_text
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -17,13 +18,15 @@ if TYPE_CHECKING:
 
 @verb_of("draw_sensors", changes=("allow_code",))
 class Sensors(Verb):
-    """Draw what the sensors of a policy's card see, or one frame of every sensor there is."""
+    """Draw what the sensors of a policy's card see, or one frame of every sensor."""
 
     policy = None
     scene = "hurdles/two_logs_park"
     out = Path("sensors.png")
     names: Annotated[bool, tyro.conf.arg(name="list")] = False
-    """List sensors and wrappers, plug-ins included, and draw nothing."""
+    """List sensors and wrappers, with those of plugins, and draw nothing."""
+    json: bool = False
+    """With --list: print JSON."""
 
     def show(self, found: SeenCard) -> str:
         return seen_text(found)
@@ -33,7 +36,8 @@ class Sensors(Verb):
             return super().__call__()
         from nw_eval import api
 
-        print(sensor_list(api.list_sensors()))
+        found = api.list_sensors()
+        print(json_text(found) if self.json else sensor_list(found))
         return 0
 
 

@@ -11,27 +11,23 @@ import tyro
 
 _Suite = Annotated[
     str,
-    tyro.conf.arg(
-        help="A suite file, or the name of a shipped suite (`nw-eval suites` lists them)."
-    ),
+    tyro.conf.arg(help="A suite file or a shipped suite's name (`nw-eval suites` lists them)."),
 ]
 Suite = tyro.conf.Positional[_Suite]
 Workers = Annotated[
     int | None,
-    tyro.conf.arg(aliases=["-j"], help="Worker processes; the number of cores when absent."),
+    tyro.conf.arg(aliases=["-j"], help="Worker processes (default: one per core)."),
 ]
 Scenes = Annotated[
     tuple[str, ...] | None,
     tyro.conf.arg(
         metavar="GLOB ...",
-        help="Only scenes that match one of these globs, or are of `split:train` or `split:eval`.",
+        help="Only scenes that match one of these globs; `split:train` and `split:eval` work, too.",
     ),
 ]
-Checkpoint = Annotated[
-    Path | None, tyro.conf.arg(help="Weights to use in place of those that the card names.")
-]
-AllowCode = Annotated[bool, tyro.conf.arg(help="Let the policy's card import Python code.")]
-NoCache = Annotated[bool, tyro.conf.arg(help="Run every trial, and keep no result for later runs.")]
+Checkpoint = Annotated[Path | None, tyro.conf.arg(help="Use these weights instead of the card's.")]
+AllowCode = Annotated[bool, tyro.conf.arg(help="Allow the policy's card to import Python code.")]
+NoCache = Annotated[bool, tyro.conf.arg(help="Run every trial; neither read nor write the cache.")]
 SHARED: Mapping[str, Any] = MappingProxyType(
     {
         "suite": _Suite,

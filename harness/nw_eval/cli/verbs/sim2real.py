@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from nw_base.clean import clean
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -16,8 +17,8 @@ if TYPE_CHECKING:
 
 
 @verb_of("sim2real")
-class SimToReal(Verb):
-    """Say how well runs agree with results on the robot, and what a perfect simulator shows."""
+class SimToReal(Printed, Verb):
+    """Compare simulated results with real-robot results, and with a perfect simulator."""
 
     real: Path
 

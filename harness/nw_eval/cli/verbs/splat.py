@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -13,8 +14,8 @@ if TYPE_CHECKING:
 
 
 @verb_of("splat_info")
-class Info(Verb):
-    """Say what a splat holds: counts, bounds, harmonics, sizes, opacities."""
+class Info(Printed, Verb):
+    """Show the contents of a splat: counts, bounds, harmonics, sizes, opacities."""
 
     def show(self, found: SplatFigures) -> str:
         from nw_splat.cli import splat_page
@@ -24,7 +25,7 @@ class Info(Verb):
 
 @verb_of("splat_convert", flags=("out",))
 class Convert(Verb):
-    """Write Gaussians as another file: .ply, gsplat .pt (exact), .spz or .splat (lossy)."""
+    """Convert a Gaussian-splat file to .ply, gsplat .pt (exact), .spz or .splat (lossy)."""
 
     def show(self, found: WrittenSplat) -> str:
         from nw_splat.cli import written_line
@@ -40,9 +41,9 @@ class Convert(Verb):
     metavars={"eye": "X Y Z", "target": "X Y Z"},
 )
 class Render(Verb):
-    """Draw a splat: a PNG from a pose, or a turn around it as GIF or MP4.
+    """Render a splat: a PNG from one pose, or a turntable as GIF or MP4.
 
-    In a built-in scene the camera goes round the course, within the walls.
+    In a built-in scene the camera follows the course.
     """
 
     out = Path("splat.png")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -14,8 +15,8 @@ if TYPE_CHECKING:
 
 
 @verb_of("list_suites")
-class Suites(Verb):
-    """List the suites that can be asked for by name: scenes, trials, bar, policy, purpose."""
+class Suites(Printed, Verb):
+    """List the named suites: scenes, trials, bar, policy, purpose."""
 
     def show(self, found: Sequence[ListedSuite]) -> str:
         return suite_table(found)

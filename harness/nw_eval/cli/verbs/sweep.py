@@ -18,32 +18,31 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class SweepAxes:
-    """Run a suite at values of an axis, such as friction or payload, and name where it breaks off.
+    """Evaluate a suite over values of an axis, such as friction or payload; show where it fails.
 
-    Writes sweep.md, sweep.png and sweep.parquet. What the suite itself perturbs, its bar and its
-    baseline are left out. Trials that an earlier sweep had are taken over. Where the trials are too
-    few to show even a fall to none, it says how many are needed.
+    Writes sweep.md, sweep.png and sweep.parquet. The suite's own perturbations, bar and baseline
+    are ignored. Trials of earlier sweeps are reused. If the trials are too few to show any drop,
+    the output says how many are needed.
     """
 
     suite: Suite
     axis: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """Axis and values: friction=0.3..1.2 (7 values), payload=0..6:4, push=0,0.5,1. May be given
-    again for other axes."""
+    """Axis and values: friction=0.3..1.2 (7 values), payload=0..6:4, push=0,0.5,1."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """A shipped bundle's name, a bundle's folder, a card, or hub:org/name[@revision]; the suite's
-    own when absent."""
+    """A shipped policy's name, a policy folder, a card, or hub:org/name[@revision] (default: the
+    suite's policy)."""
     baseline: str | None = None
     """Another policy, on the same trials and in the same picture."""
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
-    """Trials of each value in each scene; the suite's own number when absent."""
+    """Trials per value and scene (default: the suite's number)."""
     scenes: Scenes = None
     seed: int | None = None
-    """Another seed set than the suite's own."""
+    """Use a different seed (default: the suite's)."""
     out: Path | None = None
-    """A new folder; `reports/<suite>-sweep-<number>` when absent."""
+    """A new folder (default: `reports/<suite>-sweep-<number>`)."""
     workers: Workers = None
     confidence: float = 0.95
-    """Of each interval alone, and of all comparisons along one curve together."""
+    """Confidence level, per interval and jointly for the comparisons along a curve."""
     no_cache: NoCache = False
     allow_code: AllowCode = False
 
@@ -74,7 +73,7 @@ class SweepAxes:
             )
         print(sweep_text(found))
         if found.interrupted:
-            tell("interrupted; the same command takes over the trials that ended")
+            tell("interrupted; the same command reuses the finished trials")
             return INTERRUPTED
         return 0
 

@@ -17,24 +17,24 @@ _CHECKOUT = Path(__file__).parents[4]
 
 _TABLE = """
 Evaluate:
-  run Run reference/suite.md run a checkpoint through a suite and give a verdict
+  run Run reference/suite.md evaluate a checkpoint on a suite and give a verdict
     $ hurdles --policy ./my-policy
     $ smoke --policy ./my-policy --trials 2
-  check Check reference/suite.md say what a run would do, and what is wrong with its files
+  check Check reference/suite.md validate a suite and show what it would run
     $ hurdles --policy ./my-policy
-  plan PlanTrials concepts/power.md say how many trials show a drop, or cut a run into parts
+  plan PlanTrials concepts/power.md compute how many trials detect a drop, or list shards
     $ hurdles --detect 0.1
     $ hurdles --shards 4 --json
-  suites Suites reference/suite.md list the suites that have a name
+  suites Suites reference/suite.md list the named suites
     $
   watch Watch how-to/watch.md evaluate the checkpoints of a training as they appear
     $ logs/go2 --suite hurdles --policy my-policy/policy.yaml
   bisect BisectSeries concepts/baseline.md find the first checkpoint of a series that got worse
     $ hurdles logs/go2 --good model_100.pt --bad model_900.pt -p ./my-policy
-  merge MergeRuns how-to/sharded-suites.md put the parts of a run together and give a verdict
+  merge MergeRuns how-to/sharded-suites.md merge the shards of a run and give a verdict
     $ part-1 part-2 --out whole
 Judge:
-  gate GateRun concepts/verdict.md judge a run again by its suite's bar and a baseline
+  gate GateRun concepts/verdict.md judge a finished run by its bar and a baseline
     $ reports/my-run --baseline go1-parkour
   baseline - concepts/baseline.md save, list, show, check, verify or compare baselines
     save Save hurdles-state --policy go1-parkour
@@ -46,30 +46,30 @@ Judge:
   report Report how-to/leaderboard.md write the report of a run, or a page over many runs
     $ reports/my-run --open
     $ reports/hurdles-* --site site
-  compare Compare how-to/compare.md put policies side by side, scene by scene
+  compare Compare how-to/compare.md compare policies scene by scene
     $ reports/my-run reports/another-run --out compared.md
-  sim2real SimToReal how-to/compare.md say how well runs agree with results on the robot
+  sim2real SimToReal how-to/compare.md compare simulated results with real-robot results
     $ real.csv reports/my-run reports/another-run
-  verify Verify concepts/determinism.md check that a run is as it ended, and run some of it again
+  verify Verify concepts/determinism.md check a run for changes and re-run some trials
     $ reports/my-run --trials 5%
-  ledger Ledger concepts/verdict.md sum up a ledger of verdicts: false alarms, repeated tests
+  ledger Ledger concepts/verdict.md summarize a ledger: false alarms, repeated tests
     $ verdicts.jsonl
 Look:
-  view ViewTrials how-to/viewing.md show a trial, or play with a policy, in the browser
+  view ViewTrials how-to/viewing.md open a trial or a live policy in the browser
     $ reports/my-run
     $ go1-parkour --scene hurdles/one_low_carpet
-  replay Replay how-to/replay.md run a recorded trial again, film it, or show its log
+  replay Replay how-to/replay.md re-run a recorded trial, film it, or show its log
     $ trial.mcap
     $ trial.mcap --video trial.mp4
-  attribute Attribute how-to/failures.md find from when on failed trials were lost, and why
+  attribute Attribute how-to/failures.md find when and why failed trials became unrecoverable
     $ reports/my-run --baseline go1-parkour
   scores Scores reference/scores.md compute scores from the log of a trial or of a robot
     $ trial.mcap
     $ walk.mcap --robot go1
-  sensors Sensors reference/sensors.md draw what the sensors of a policy see
+  sensors Sensors reference/sensors.md draw what a policy's sensors see
     $ go1-act-rgb --out seen.png
 Stress:
-  sweep SweepAxes how-to/perturbations.md run a suite at values of friction, payload, latency ...
+  sweep SweepAxes how-to/perturbations.md evaluate a suite over friction, payload, latency ...
     $ hurdles --axis friction=0.3..1.2 --policy ./my-policy
 Bring your own:
   policies - how-to/policy-card.md list, show, check, draft, fetch or serve policies
@@ -93,7 +93,7 @@ Bring your own:
     render Render 'hurdles/*' --out scenes.png
     fetch FetchScenes hub:org/corridor
     push PushScene ./my-place hub:org/my-place
-  splat - reference/meshes-and-splats.md look into files of Gaussians, convert or draw them
+  splat - reference/meshes-and-splats.md inspect, convert or render Gaussian-splat files
     info Info scan.ply
     convert Convert scan.ply --out scan.spz
     render Render scan.ply --out scan.png
@@ -101,16 +101,16 @@ Bring your own:
     $ suite --out suite.schema.json
 Train:
 Upkeep:
-  doctor Doctor reference/stability.md say what this machine offers, for a bug report
+  doctor Doctor reference/stability.md show system information for bug reports
     $
     $ --json
-  cache - concepts/determinism.md show, prune or verify the results that runs take over
+  cache - concepts/determinism.md show, prune or verify the cache of trial results
     info ShowCache
     prune PruneCache --limit 2
     verify VerifyCache
-  warmup Warmup reference/environment.md compile kernels and build scenes ahead of the first run
+  warmup Warmup reference/environment.md compile kernels and build scenes before the first run
     $ 'hurdles/*'
-  completion Completion reference/stability.md print what completes commands in bash, zsh or fish
+  completion Completion reference/stability.md print a shell-completion script
     $ bash
 """
 """Groups; in them verbs: name, class, page, line; in these their examples, or verbs of the family:
@@ -135,12 +135,12 @@ OF_EXTRAS = {
 
 _EXAMPLES = (
     "nw-eval run hurdles --policy ./my-policy        a verdict on a checkpoint",
-    "nw-eval gate reports/my-run --baseline mine     the same against a baseline",
+    "nw-eval gate reports/my-run --baseline mine     the same with a baseline",
     "nw-eval view reports/my-run                     its trials in the browser",
-    "nw-eval sweep hurdles --axis friction=0.3..1.2  where the policy breaks off",
-    "nw-eval policies init model.pt --robot go1      a first card for a checkpoint",
+    "nw-eval sweep hurdles --axis friction=0.3..1.2  where the policy fails",
+    "nw-eval policies init model.pt --robot go1      draft a policy card",
     "nw-eval train student student-rgb-small         a policy of your own",
-    "nw-eval doctor                                  what this machine offers",
+    "nw-eval doctor                                  system information",
 )
 EXAMPLES = tuple(each for each in _EXAMPLES if each.split()[1] in VERBS)
 """One for each group."""
@@ -172,7 +172,7 @@ def docs_line(page: str = "") -> list[str]:
 
 
 EXIT_CODES = """Exit codes: 0 PASS, or RAN if the suite has no bar; 1 REGRESSED; 2 wrong usage
-or file; 3 INCONCLUSIVE; 4 errors left or trials missing; 5 not comparable; 130
+or file; 3 INCONCLUSIVE; 4 infrastructure error; 5 invalid comparison; 130
 interrupted."""
 
 RENAMED = {"agree": "sim2real", "blame": "attribute"}
@@ -208,8 +208,8 @@ OPTION_GROUPS: dict[str, tuple[str, ...]] = {
     ),
     "Machine": ("workers", "engine", "address", "in_process", "no_cache"),
     "Output": (
-        *("out", "record", "ledger", "junit", "comment", "github", "no_github", "track"),
-        *("reporter", "label"),
+        *("out", "record", "ledger", "json", "junit", "comment", "github", "no_github"),
+        *("track", "reporter", "label"),
     ),
     "Scene": ("trail", "task"),
     "Name and licence": ("name", "note", "licence"),

@@ -2,7 +2,7 @@
 
     @verb_of("show_baseline")
     class Show(Verb):
-        '''Say what a baseline holds for, who saved it and why.'''
+        '''Show what a baseline was saved for, by whom and why.'''
 
         def show(self, found: ShownBaseline) -> str:
             return baseline_page(found)
@@ -45,6 +45,7 @@ from nw_eval import api
 from nw_eval.cli.terminal.interruption import INTERRUPTED
 from nw_eval.cli.terminal.last_words import tell
 from nw_eval.cli.verbs.help import told_of
+from nw_eval.cli.verbs.printed import json_text
 from nw_eval.cli.verbs.shared import SHARED
 from nw_eval.engine.how import How
 
@@ -105,7 +106,7 @@ class Verb:
 
     def __call__(self) -> int:
         found = self.call()
-        if shown := self.show(found):
+        if shown := json_text(found) if getattr(self, "json", False) else self.show(found):
             print(shown)
         code = self.code(found)
         if code == INTERRUPTED:
@@ -216,9 +217,10 @@ def _shared(name: str) -> _Option:
         hint, arg = get_args(SHARED[name])
         default = {bool: False, str: inspect.Parameter.empty}.get(hint)
         return _Option(name, hint, default, arg)
+    from nw_eval.cli.verbs.options import Options
     from nw_gate.results.request import Request
 
-    hint, told = _hints_of(Request, [name])[name], told_of(Request)[name]
+    hint, told = _hints_of(Request, [name])[name], told_of(Options)[name]
     default = Request.__dataclass_fields__[name].default
     return _Option(name, _plain(hint), default, _arg(name, " ".join(told.split())))
 
@@ -261,5 +263,4 @@ def _sentences(known: Callable[..., Any]) -> dict[str, str]:
 
 
 def _said(sentence: str) -> str:
-    sentence = sentence.replace("if None", "when absent").replace("If None", "When absent")
     return sentence[:1].upper() + sentence[1:]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from nw_base.clean import clean
 from nw_base.plural import plural
+from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -22,11 +23,11 @@ if TYPE_CHECKING:
     metavars={"trials": "N%|N", "root": "HEX"},
     listens=True,
 )
-class Verify(Verb):
-    """Say whether rows and logs of a run are as they were when it ended, and name what is not.
+class Verify(Printed, Verb):
+    """Check a run's results and logs for changes.
 
-    Then run some of its trials again, drawn by an unpredictable seed, and compare states,
-    actions and images bit for bit. Nothing is written into the run's folder.
+    Then re-run a random sample of its trials and compare states, actions and images exactly. The
+    run's folder is not changed.
     """
 
     goes_on = "interrupted; not all of the trials that were drawn have run"
@@ -92,15 +93,15 @@ def _finding(finding: Discrepancy) -> str:
 
 def _repeats(repeats: Repeats) -> Iterator[str]:
     if repeats.unable is not None:
-        yield f"nothing was run again: {repeats.unable}"
+        yield f"nothing was re-run: {repeats.unable}"
         return
     if not repeats.of:
-        yield "nothing was run again: no trial has a result"
+        yield "nothing was re-run: no trial has a result"
         return
     yield from map(_trial, repeats.trials)
     same = sum(each.is_identical for each in repeats.trials)
     yield (
-        f"run again: {same} of {plural(len(repeats.trials), 'trial')} with the same bits, drawn "
+        f"re-run: {same} of {plural(len(repeats.trials), 'trial')} identical, drawn "
         f"from {repeats.of} by --seed {repeats.seed}"
     )
 

@@ -21,30 +21,30 @@ _PLACE = "hurdles/one_low_carpet"
 
 @dataclass(frozen=True, kw_only=True)
 class ViewTrials:
-    """Show a trial, or a policy live, in the browser, till Ctrl-C.
+    """Open a trial or a live policy in the browser (Ctrl-C to stop).
 
-    A log or a run is shown as it was logged: play, step and scrub, jump to waypoints and to where
-    two trials part. A scene or a policy is played with: push the robot, load it, change friction,
-    latency and light, move its goal, drop a box in its way, and save that as a suite.
+    A log or a run is shown as recorded: play, step and scrub, jump to waypoints and to where two
+    trials diverge. A scene or a policy runs live: push or load the robot, change friction, latency
+    and light, move its goal, drop a box in its way, and save that as a suite.
     """
 
     source: tyro.conf.Positional[str | None] = None
-    """A trial's log, a run's folder, a scene or a policy. Without it, --policy and --scene."""
+    """A trial's log, a run folder, a scene or a policy. Optional with --policy or --scene."""
     baseline: Path | None = None
-    """Another log, or another run's folder: its trials of the same names walk along as ghosts."""
+    """Another log or run folder. Its trials of the same names are shown as ghosts."""
     trial: str = ""
-    """Trial of a run that is shown first, by its name in the report."""
+    """Trial of a run to show first, by its name in the report."""
     at: float = 0.0
-    """Second of the trial that is shown first."""
+    """Second of the trial to show first."""
     policy: str | None = None
-    """Policy that is played with; go1-parkour if only a scene is named."""
+    """Policy to run live (default: go1-parkour, if --scene is given)."""
     scene: str | None = None
-    """Place in which it runs; hurdles/one_low_carpet if only a policy is named."""
+    """Scene to run it in (default: hurdles/one_low_carpet, if --policy is given)."""
     checkpoint: Checkpoint = None
     allow_code: AllowCode = False
     port: int | None = None
-    """Port to listen at, on this machine's own address only; 0 chooses a free one. Without it:
-    8720, where the links of reports lead, or a free one if that is in use."""
+    """Port on this machine's loopback address; 0 chooses a free one (default: 8720, the port that
+    report links use, or any free port)."""
     open: bool = False
     """Open the page in this machine's browser."""
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 @verb_of("warmup", listens=True)
 class Warmup(Verb):
-    """Compile the rendering kernels into the cache, and build the splats of the named scenes."""
+    """Compile the rendering kernels into the cache and build the splats of the given scenes."""
 
     def show(self, found: WarmUp) -> str:
         built = f", {len(found.scenes)} scenes built" if found.scenes else ""

@@ -39,23 +39,23 @@ def checkpoint_line(made: WatchedCheckpoint) -> str:
     heard=checkpoint_line,
 )
 class Watch(Verb):
-    """Evaluate each new checkpoint of a training, the latest first, and gate it against the best.
+    """Evaluate each new checkpoint of a training, newest first, and gate it against the best.
 
-    All meet the same trials. Their runs, a table (`watch.parquet`) and a page with success over
-    training steps (`index.html`) are written to --out after each; the same command goes on there.
-    The exit code is that of the verdict on the newest checkpoint.
+    All checkpoints run the same trials. After each one, --out has its run, a table
+    (`watch.parquet`) and a page with success over training steps (`index.html`). Run the same
+    command again to resume. The exit code is that of the newest checkpoint's verdict.
     """
 
     leaves_verdict: ClassVar = True  # In a file, whatever becomes of the print.
-    goes_on = "interrupted; the same command goes on"
+    goes_on = "interrupted; run the same command again to resume"
 
     folder: Path
     trials: int | None
-    """Trials per scene of each checkpoint; the suite's own number when absent."""
+    """Trials per scene for each checkpoint (default: the suite's number)."""
     track: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TRACKER[,TRACKER]")
     ] = ()
-    """Show scores by training step in a tracker: wandb, mlflow, tensorboard."""
+    """Send scores by training step to trackers: wandb, mlflow, tensorboard."""
 
     def more(self) -> dict[str, Any]:
         from nw_eval import api

@@ -15,6 +15,7 @@ from nw_eval.reporting.headline import part_of_suite, stopped_early
 from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.html.runs import ListedRun, level_of
 from nw_eval.reporting.side_by_side import ranks_text
+from nw_eval.reporting.tables.policy_name import policy_digest, policy_name
 from nw_eval.reporting.tables.table import Bar
 from nw_gate.results.provenance import RunInfo
 from nw_gate.side_by_side import PolicyComparison
@@ -63,8 +64,8 @@ class BoardRun:
 
     @property
     def identity(self) -> tuple[str, str]:
-        """The policy: its name, and the digest of its checkpoint."""
-        return self.info.policy.name, self.info.policy.checkpoint_digest
+        """The policy: its name, and the digest of its card and checkpoint."""
+        return policy_name(self.info.policy), policy_digest(self.info.policy)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,11 +158,13 @@ class BoardLine:
 
     Attributes:
         name: of the policy.
+        digest: of its card and checkpoint.
         run: the name or training step of its first run; empty where names tell all apart.
         standings: by column, None where it has no run.
     """
 
     name: str
+    digest: str
     run: str
     standings: tuple[BoardStanding | None, ...]
 
@@ -245,6 +248,7 @@ def _lines(sections: Sequence[BoardSection]) -> tuple[list[str], list[BoardLine]
     return columns, [
         BoardLine(
             name=name,
+            digest=digest,
             run=called[name, digest] if names.count(name) > 1 else "",
             standings=tuple(standings[name, digest].get(c) for c in range(len(columns))),
         )

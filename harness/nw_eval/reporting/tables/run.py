@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from nw_base.digest import digest_of
 from nw_base.plural import plural
+from nw_eval.reporting.tables.policy_name import policy_digest, policy_name
 from nw_eval.reporting.tables.table import Table
 from nw_gate.results.labels import KNOWN
 from nw_gate.results.provenance import RunInfo
@@ -123,7 +124,8 @@ def provenance_table(run: RunInfo) -> Table:
         "suite": f"{run.suite_file}, {digest_of(run.suite)[:12]}",
         "seed set": f"{run.suite_digest[:12]} (same robot, protocol, seed, episode and "
         f"perturbations: same starts), {run.panel}",
-        "policy": f"{run.policy.name}, {run.policy.origin or weights}",
+        "policy": f"{policy_name(run.policy)}, {run.policy.origin or weights}",
+        "card and checkpoint": policy_digest(run.policy),
         "processor": run.policy.dependence,
         "scenes": f"{_scenes(run)}, {plural(sum(run.planned.values()), 'trial')} planned"
         + _saved(run),

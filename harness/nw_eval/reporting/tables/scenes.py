@@ -257,9 +257,7 @@ def _note(found: Comparison, header: str) -> str:
         known = f"{plural(found.control, 'trial')} that ran beside the candidate"
     if found.basis == "same" and found.again is not None and found.again.taken_over:
         return f"Results are the baseline's, {known}; {plural(found.again.ran, 'trial')} re-run."
-    means = (
-        f"The baseline {found.policy} is {known}, the candidate {plural(found.trials, 'trial')}."
-    )
+    means = f"The baseline {found.bank} is {known}, the candidate {plural(found.trials, 'trial')}."
     if found.basis == "same":
         return means
     alone = f"{uncorrected('scene', header)} " if any(x.interval for x in found.scenes) else ""

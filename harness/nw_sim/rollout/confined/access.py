@@ -170,7 +170,7 @@ def _files(bundle: Bundle) -> tuple[Path, ...]:
 def _cache() -> tuple[Path, ...]:
     try:
         return (cache_dir(),)
-    except StoreError:  # It is no folder, or full; whoever needs it says so.
+    except StoreError:  # It is not a folder, or full; whoever needs it says so.
         return ()
 
 

@@ -387,7 +387,7 @@ class LogReader:
             yield time_ns * 1e-9, frame
 
     def observations(self, name: str) -> Iterator[tuple[float, np.ndarray]]:
-        """Yield (time in s, float32 array) of an observation that is no picture, when new."""
+        """Yield (time in s, float32 array) of an observation that is not a picture, when new."""
         for _, time_ns, message in self.messages(f"/observation/{name}"):
             with self._damage_is_an_error():
                 values = values_of(message)

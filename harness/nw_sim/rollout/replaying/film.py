@@ -128,7 +128,7 @@ class Film(Observer):
         if self._error is not None:
             raise StoreError(
                 f"the video could not be made: {one_line(self._error)}",
-                fix="free space, or leave --video out",
+                fix="free space, or drop --video",
             ) from self._error
 
     def _guarded(self, act: Callable[[], None]) -> None:

@@ -80,7 +80,7 @@ def agreed(
         name = clean(recorded.policy_name, at_most=100)
         raise PolicyError(
             f"{path}: policy {name!r} was an object of the process that ran it",
-            fix="name a bundle that does the same with --policy",
+            fix="give the same policy with --policy",
         )
     job = replace(
         recorded,
@@ -125,7 +125,7 @@ def step_at(time: float, control_rate: float = CONTROL_RATE) -> int:
 
 
 def check_start(start: float, *, option: str = "--start") -> None:
-    """Refuse what is no time in a trial.
+    """Refuse what is not a time in a trial.
 
     Raises:
         UsageError: it is negative or no number.

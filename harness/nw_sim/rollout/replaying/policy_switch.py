@@ -166,7 +166,7 @@ def _check_way(leader: Episode, recorded: dict[int, bytes], logged: LoggedTrial)
         raise StoreError(
             f"{logged.path}: the trial does not go its recorded way here, its state at "
             f"{leader.world.time:.2f} s is another",
-            fix="take over where it was recorded; `nw-eval replay` says which versions differ",
+            fix="use the machine that recorded it; `nw-eval replay` shows which versions differ",
         )
 
 
@@ -239,7 +239,7 @@ def _first_card(recorded: LoggedTrial) -> Card:
     except PolicyError as error:
         raise StoreError(
             f"{recorded.path} holds no card of the policy that made it: {clean(error.message)}",
-            fix="run the trial again with `nw-eval run`, whose logs do",
+            fix="re-run the trial with `nw-eval run`",
         ) from None
 
 

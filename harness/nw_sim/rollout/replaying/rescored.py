@@ -111,7 +111,7 @@ def scores_of_log(
         if topics or robot is not None:
             raise UsageError(
                 f"{path} is the log of a run: it says itself which robot and topics it has",
-                fix="leave --robot and --topic out",
+                fix="drop --robot and --topic",
             )
         logged = read_logged_trial(path)
         own = {each.name: each for each in declared_by(logged.job.task)}
@@ -232,7 +232,7 @@ def _of_robot(
 ) -> LogScores:
     if robot is None:
         raise UsageError(
-            f"{path} is no log of a run, and does not say which robot it is of",
+            f"{path} is not the log of a run, and does not name its robot",
             fix="name the robot with --robot",
         )
     read = read_robot_log(path, robot=robot, topics=topics)

@@ -203,7 +203,7 @@ def take_over(
     Args:
         path: the trial's log.
         start: seconds, at least 0 and before the trial's end.
-        policy: the bundle that takes over; the one that the log names if None.
+        policy: the bundle that takes over (default: the one that the log names).
         checkpoint: weights in place of those that its card names.
         allow_code: as for a run.
         library: scenes and bundles that are loaded already.
@@ -214,7 +214,7 @@ def take_over(
         StoreError: the log cannot be read, holds no card, or the trial does not go its recorded way
             here; the new log cannot be written.
         PolicyError: the bundle is missing, does not fit the robot, or needs the caller's word.
-        SceneError, UsageError: the scene is missing, or has changed; `start` is no time in the
+        SceneError, UsageError: the scene is missing, or has changed; `start` is not a time in the
             trial, or behind where it was taken over already.
         TrialError: the policy fails while it looks on.
     """

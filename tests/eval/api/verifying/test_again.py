@@ -159,7 +159,7 @@ def test_a_run_of_another_machine_or_version_is_looked_at_and_not_run_again(run,
     assert ends("verify", run.path) == 5
     out = capsys.readouterr().out
     assert "as the run ended: 3 rows" in out
-    assert f"nothing was run again: trials cannot be compared bit for bit here: {other} " in out
+    assert f"nothing was re-run: trials cannot be compared exactly here: {other} " in out
 
 
 def test_a_run_whose_policy_was_an_object_or_lies_nowhere_is_looked_at_and_not_run_again(run):

@@ -113,7 +113,7 @@ def test_where_the_log_is_gone_the_link_is_as_if_it_were_not_there(linked):
     linked.folder.cached_mcap("hurdles/one", TAKEN).unlink()
     with_link = found(linked.path)
     assert taken_over_log(link_of(linked)) == link_of(linked)
-    with pytest.raises(UsageError, match="is no file"):
+    with pytest.raises(UsageError, match="is not a file"):
         api.replay(link_of(linked))
     assert TAKEN not in open_shelf(linked.path).logs
     check_plain(linked.folder)

@@ -35,7 +35,7 @@ def test_an_address_that_nobody_answers_is_an_error_of_one_line(scheme, tiny, tm
         ({"address": "auto"}, "add --engine ray"),
         ({"engine": "rya"}, "did you mean 'ray'"),
         ({"engine": "ray", "in_process": True}, "drop one of them"),
-        ({"engine": "ray", "address": "http://a:1"}, "is no address of a Ray cluster"),
+        ({"engine": "ray", "address": "http://a:1"}, "is not an address of a Ray cluster"),
     ],
 )
 def test_what_no_engine_can_do_is_refused(options, message, tiny, tmp_path):

@@ -231,4 +231,4 @@ def test_a_run_whose_cluster_lost_its_head_can_be_resumed(cluster, nw_eval, unti
         run.kill()
     assert code == 4, printed  # And not 1, with which Ray would have ended it.
     assert "the head of the cluster has not answered" in printed
-    assert "--resume goes on with the run" in printed
+    assert "resume with --resume" in printed

@@ -46,7 +46,7 @@ def test_a_bank_does_not_differ_from_itself(make_bank):
     change = bank_change(make_bank(), make_bank())
     assert change.fields == change.machine == ()
     assert all(scene.then == scene.now and not scene.moved for scene in change.scenes)
-    assert whose_doing(change) == "No start went another way."
+    assert whose_doing(change) == "No trial changed."
 
 
 def test_scenes_say_which_starts_went_another_way_and_which_ended_otherwise(make_bank):
@@ -58,7 +58,7 @@ def test_scenes_say_which_starts_went_another_way_and_which_ended_otherwise(make
     assert bank_mean(change.then) == 0.875
     assert bank_mean(change.now) == 0.8125
     page = change_page(change)
-    assert "hurdles/place_00  0.875  0.750  -0.125  2 of 4            starts 3" in page
+    assert "hurdles/place_00  0.875  0.750  -0.125  2 of 4          starts 3" in page
     assert "mean              0.875  0.812  -0.062" in page
 
 
@@ -100,13 +100,13 @@ def test_each_field_of_the_key_that_differs_is_a_line(make_bank, changes, lines)
 def test_a_change_of_the_simulator_is_never_charged_to_a_checkpoint(make_bank):
     moved = with_starts(make_bank(), falls_at_three)
     simulator = with_key(moved, simulator={"mujoco": "4.1.0", "renderer": "cpu gsplat-1.5"})
-    assert "the doing of the simulator, of no checkpoint" in whose_doing(
+    assert "the changes come from the simulator, not a checkpoint" in whose_doing(
         bank_change(make_bank(), simulator)
     )
     assert "Only the policy differs" in whose_doing(
         bank_change(make_bank(), with_checkpoint(moved))
     )
-    assert "can be attributed to none of them alone" in whose_doing(
+    assert "cannot be attributed to one of them" in whose_doing(
         bank_change(make_bank(), with_checkpoint(simulator))
     )
 
@@ -118,7 +118,7 @@ def test_panels_of_the_class_of_machine_that_both_have_are_compared(make_bank):
     assert not any(scene.moved for scene in bank_change(mixed, moved).scenes)
     change = bank_change(make_bank(machines=(HERE,)), moved)
     assert [field.then for field in change.machine] == ["znver4"]
-    assert "the doing of the machine, of no checkpoint" in whose_doing(change)
+    assert "the changes come from the machine, not a checkpoint" in whose_doing(change)
 
 
 def test_another_number_of_starts_is_a_change_of_the_suite(make_bank):
