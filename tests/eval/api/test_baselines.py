@@ -41,7 +41,7 @@ def first_save(tmp_path_factory):
         patch.chdir(folder)
         saved = api.save_baseline("quick.yaml", trials=4, note="the first", workers=2)
         assert saved.run == work()
-        assert f"its rows and logs: {saved.run}; a page" in saved_page(saved)
+        assert f"results and logs: {saved.run}; report: " in saved_page(saved)
     assert saved.action == "new"
     return folder
 

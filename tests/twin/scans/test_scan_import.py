@@ -366,7 +366,7 @@ def viewed(**view):
         ({"textures": lambda _: [{"source": 7}]}, "no readable GLB mesh: IndexError"),
         ({"bufferViews": viewed(byteOffset=-5)}, "the picture 0 lies at bytes -5 to "),
         ({"bufferViews": viewed(byteLength=10**12)}, "the picture 0 lies at bytes .* cut short"),
-        ({"nodes": lambda old: [{**old[0], "rotation": [0, 0, 0, 0]}]}, "rotation .* is none"),
+        ({"nodes": lambda old: [{**old[0], "rotation": [0, 0, 0, 0]}]}, "rotation .* is invalid"),
         ({"nodes": lambda old: [{**old[0], "scale": [1e308] * 3}]}, "vertices are not finite"),
     ],
 )
