@@ -137,7 +137,7 @@ MOST = {
         ("nw_learn", "nw_twin"),
     ),
     "nw_gate": Figures(
-        16850,  # Ranks by bets that learn; what made a verdict, and what completed.
+        17260,  # Bets made from the baseline; ranks by bets that learn; what made a verdict.
         8,
         ("nw_eval", "nw_learn", "nw_sim", "nw_twin"),
     ),
