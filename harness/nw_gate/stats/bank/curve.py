@@ -343,9 +343,9 @@ def progress_from(
     """Return the shares in which each further trial would have ended a run, as it looks so far.
 
     Simulated with the committed baseline of hurdles, gates that 320 trials left open, true drops of
-    0 to .10 by three kinds of failure, pooled: 52 % were decided by the trials after which half of
-    the simulated ends are, and 90 % by those of nine tenths; after 64 trials 45 and 86 %. Of a true
-    drop of .06 alone 46 and 90 %, after 64 trials 28 and 72 %; of .10 68 and 92 %, 57 and 93 %.
+    .03 to .10 by two kinds of failure, pooled: 57 % were decided by the trials after which half of
+    the simulated ends are, and 89 % by those of nine tenths; after 64 trials 49 and 85 %. Of a true
+    drop of .06 alone 50 and 84 %, after 64 trials 28 and 72 %; of .10 94 and 100 %, 68 and 95 %.
 
     Args:
         bank: of the baseline, or `Bank.control`, without leading axes.
