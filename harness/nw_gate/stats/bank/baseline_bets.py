@@ -254,7 +254,9 @@ def _by_class(guess: Floats, repeats: float, size: int) -> Floats:
     every = np.moveaxis(guess, -1, 0)[..., None]
     if not repeats:
         return every
-    same = np.eye(len(every), size).reshape(len(every), *[1] * (every.ndim - 2), size)
+    same = np.eye(len(every), size, dtype=np.float64).reshape(
+        len(every), *[1] * (every.ndim - 2), size
+    )
     return (1.0 - repeats) * every + repeats * same
 
 

@@ -115,11 +115,13 @@ def draw(
         baseline = np.take_along_axis(panels, order, axis=-1)
     bank = Bank(means=means, starts=size)
     if margins is not None and against != "control":
-        limits = {"max_drop": margins.max_drop, "tolerate": margins.tolerate}
         most = max(course.trials for course in seen)
         shown = [np.resize(np.repeat(each.values, each.counts), most) for each in seen]
         # Those of each drawn baseline would be almost the same, and take half a minute.
-        bank = replace(bank, bets=make_bets(np.array(shown), waypoints, **limits).against(panel))
+        bets = make_bets(
+            np.array(shown), waypoints, max_drop=margins.max_drop, tolerate=margins.tolerate
+        )
+        bank = replace(bank, bets=bets.against(panel))
     if against != "panel":
         bank = Bank.control(len(seen)) if against == "control" else bank.fresh()
     return Drawn(
