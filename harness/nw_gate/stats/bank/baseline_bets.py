@@ -246,7 +246,7 @@ def _powers(kept: Floats, like: Floats) -> Floats:
     """Return kept^0, kept^1, ..., shape (..., 1, L): as products, which are the same everywhere."""
     steps = np.broadcast_to(kept[..., None, None], (*kept.shape, 1, like.shape[-1])).copy()
     steps[..., 0] = 1.0
-    return np.cumprod(steps, axis=-1)
+    return np.cumprod(steps, axis=-1, dtype=np.float64)
 
 
 def _by_class(guess: Floats, repeats: float, size: int) -> Floats:
