@@ -190,7 +190,15 @@ def judge(
             1.0 - 2.0 * lower_bound(groups, limits.confidence),
         )
         word, decided = _rounds(groups, limits)
-        found.append((word, _drop_words(word, drop, interval, limits)))
+        is_odd = (word == "PASS" and drop >= limits.max_drop) or (
+            word == "REGRESSED" and drop <= limits.tolerate
+        )
+        if is_odd:
+            why = _order_words(word, drop, limits, decided)
+            word, decided = "INCONCLUSIVE", None
+        else:
+            why = _drop_words(word, drop, interval, limits)
+        found.append((word, why))
         each = limits.false_alarm / len(groups)
         for (task, pair), group in zip(pairs.items(), groups, strict=True):
             fell = evidence_above([1.0 - group], (1.0 + limits.task_drop) / 2.0) >= 1.0 / each
@@ -307,6 +315,16 @@ def _first(values: Values, mean: float, error: float) -> int | None:
     capital = log_mixture(bets.sum(axis=2).cumsum(axis=1).T)
     (refuted,) = np.nonzero(capital >= -math.log(error))
     return int(refuted[0]) + 1 if len(refuted) else None
+
+
+def _order_words(word: GateWord, drop: float, limits: Limits, rounds: int | None) -> str:
+    """Return why the first episodes decide nothing where all of them say the opposite."""
+    limit = f"max_drop {limits.max_drop:g}" if word == "PASS" else f"tolerate {limits.tolerate:g}"
+    return (
+        f"the first {rounds} episodes of each task say {word}, and all of them a drop of "
+        f"{drop:+.3f}, where {limit} is the limit: the order of the episodes may depend on their "
+        "scores; give them in the order in which they ran, or name their starts (--start)"
+    )
 
 
 def _drop_words(word: GateWord, drop: float, interval: Interval, limits: Limits) -> str:

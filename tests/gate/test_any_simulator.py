@@ -199,6 +199,22 @@ def test_wrong_verdicts_are_as_rare_as_is_said(drop, wrong, most):
     assert words.count(wrong) / gates <= most + 3.0 * (most * (1.0 - most) / gates) ** 0.5
 
 
+def test_episodes_sorted_by_their_score_decide_nothing():
+    rng = np.random.default_rng(4)
+
+    def by_score(rates):
+        found = drawn(rates, 60, rng)
+        order = sorted(found.episodes, key=lambda episode: -episode.score)
+        return replace(found, episodes=tuple(replace(each, start=None) for each in order))
+
+    worse, better = by_score([0.7, 0.7]), by_score([0.95, 0.95])
+    found = judge(worse, better)
+    assert (found.word, found.decided_after) == ("INCONCLUSIVE", None)
+    assert "episodes of each task say PASS, and all of them a drop of +0." in found.reasons[0]
+    assert "the order of the episodes may depend on their scores" in found.reasons[0]
+    assert judge(better, worse).word != "REGRESSED"
+
+
 def test_rounds_are_whole_and_their_capital_is_that_of_the_bounds():
     rng = np.random.default_rng(3)
     new, old = drawn([0.1, 0.4], 90, rng), drawn([0.9, 0.8], 90, rng)

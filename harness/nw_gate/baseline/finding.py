@@ -397,7 +397,10 @@ def find(
         evidence=evidence,
         named=tuple(judged[index] for index in decision.named),
         waits_for=tuple(judged[index] for index in decision.waits_for),
-        mean_regressed=bool((regressed >= 1.0 / rules.alpha_regr).any()),
+        # Within a round the order of scenes is fixed: E is looked at where `settle` looks at it.
+        mean_regressed=bool(
+            (regressed[rules.look_every - 1 :: rules.look_every] >= 1.0 / rules.alpha_regr).any()
+        ),
         drop=_drop(bank, mean),
         control=_control(mean) if bank.paired else None,
         interval=drop_interval_after(

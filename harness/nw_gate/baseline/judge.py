@@ -481,7 +481,7 @@ def _at_most(drops: Interval, found: Comparison) -> str:
         return "no worse"
     if float(f"{drops.high:.3f}") >= found.max_drop:  # Rounded it would contradict the verdict.
         return f"less than {found.max_drop:g} worse"
-    return f"at most {drops.high:.3f} worse"
+    return f"at most {max(drops.high, 0.001):.3f} worse"
 
 
 def _moved(found: Comparison) -> str:

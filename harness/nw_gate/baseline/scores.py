@@ -90,7 +90,11 @@ def with_scores(
             word = _worse(word, item.word)
     judged = [item for item in found if item.word is not None]
     if judged:  # That nothing was judged is true of success alone.
-        kept = tuple(each for each in verdict.reasons if "nothing was judged" not in each)
+        kept = tuple(
+            each
+            for each in verdict.reasons
+            if "nothing was judged" not in each and "no bar was judged" not in each
+        )
         verdict = replace(verdict, reasons=kept)
     judged.sort(key=lambda item: _ORDER.index(item.word or "PASS"), reverse=True)
     told = [reason for item in judged for reason in item.reasons]
@@ -185,6 +189,9 @@ def _finding(
             f"{spec.name}: max_drop {asked.max_drop:g} was ignored, there is no baseline"
         )
     word = max(words, key=_ORDER.index) if words else None
+    if len(words) == len(reasons):  # What decided comes first.
+        ranked = sorted(zip(words, reasons, strict=True), key=lambda x: -_ORDER.index(x[0]))
+        reasons = [reason for _, reason in ranked]
     return replace(found, word=word, reasons=tuple(reasons))
 
 

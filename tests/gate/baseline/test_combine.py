@@ -195,6 +195,13 @@ def test_where_bits_are_others_the_baseline_s_own_policy_is_compared_with_it_lik
     assert low.reasons[0].startswith(
         "this machine or version scores 0.417 less than baseline shipped, 0.043 "
     )
+    # Within a round the order of scenes is fixed: the first scene alone convicts nothing.
+    stop = StopInfo(first=2, trials=dict.fromkeys("ab", 1))
+    here = elsewhere.model_copy(update={"stop": stop})
+    rows = drawn_rows(here, {"a": [0.0], "b": [1.0]}, first=2)
+    early = judged_by(bank, rows, here, Gate(false_alarm=0.45)).against
+    assert early is not None
+    assert (early.word, early.mean_regressed) == ("INCONCLUSIVE", False)
     few = judged([1.0] * 2, Gate())
     assert (few.verdict, few.exit_code) == ("INCONCLUSIVE", 3), "nothing passes for want of trials"
     # The bar alone convicts before a whole round has ended: of a policy that the baseline passed.

@@ -91,12 +91,19 @@ def test_a_policy_that_gets_as_far_at_a_higher_cost_is_regressed_and_the_score_i
         {"cost_of_transport": 0.92},
     )
     assert (found.verdict, found.success, found.exit_code) == ("REGRESSED", 1.0, 1)
-    assert found.reasons[1].startswith(
+    assert found.reasons[0].startswith(
         "cost_of_transport 0.92 -> 1.5 in 40 trials, max_drop 0.3: at least "
-    )
+    ), "what decided comes before a bar that was reached"
     (item,) = found.scores
     assert item.drop == pytest.approx(0.58)
     assert item.drops.low > 0.06, "a fifth of max_drop"
+
+
+def test_a_bar_of_a_score_alone_is_not_called_no_bar(judged):
+    found = judged({"scores": COT}, {"cost_of_transport": 0.9}, {"cost_of_transport": 0.92})
+    assert found.verdict == "PASS"
+    assert any("the bar is 1.6" in reason for reason in found.reasons)
+    assert not any("no bar was judged" in reason for reason in found.reasons)
 
 
 def test_without_the_scores_the_same_trials_pass(judged):

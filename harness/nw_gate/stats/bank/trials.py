@@ -31,9 +31,9 @@ still has at most the expectation 1 (Maclaurin's inequality for elementary symme
 Hoeffding, 1963, section 6, has it for all convex functions of a sum). That evidence *ever* reaches
 1 / alpha is then bounded by no theorem here: it was enumerated for small seed sets and simulated on
 real ones, and happens less often than alpha. A claim about fresh starts takes the baseline's means
-for true. What a small baseline errs in them was simulated: a policy exactly at `tolerate`, of whom
-1 % should be flagged, is in up to 2.3 % with 10 starts in all scenes together, in 1.8 % with 12
-to 200, and in 1.0 % with more, unless most of them are drawn (1.4 %).
+for true. What a baseline errs in them was simulated: a policy exactly at `tolerate`, of whom 1 %
+should be flagged, is in up to 2.5 % with 5 to 12 starts a scene, and in up to 1.8 % with 30 or more
+(docs/concepts/power.md).
 
 A randomised last look (U / alpha in place of 1 / alpha at the end of the budget, U uniform) would
 be valid too. It turns 0 to 8 of 100 undecided gates into a verdict (simulated), and makes it wrong
