@@ -45,7 +45,7 @@ episode: {duration: 4.0}
 scenes: [hurdles/one_low_carpet, hurdles/two_logs_park]
 record: none
 gate:
-  {success_rate: 0.05, max_drop: 0.5, tolerate: 0.1, rounds: 4, least_starts: 1, confidence: 0.6}
+  {success_rate: 0.05, max_drop: 0.5, tolerate: 0.1, rounds: 4, least_starts: 1, confidence: 0.8}
 """
 BANK = Path("reports/baselines/quick/shipped.parquet")
 LIMP = {
@@ -423,8 +423,8 @@ def test_without_a_bank_the_first_line_says_what_is_not_judged(monkeypatch):
     named = api.plan("quick.yaml", policy="./soft")
     assert (named.against.info.name, named.suite.trials, named.drawn_from) == ("shipped", 4, 4)
     page = forecast_page(api.check("quick.yaml", policy="./soft"))
-    assert "(60 % confidence); less than 0.5 below baseline shipped" in page
-    assert "2 scenes; at most so many, until the verdict is settled" in page
+    assert "(80 % confidence); less than 0.5 below baseline shipped" in page
+    assert "2 scenes; a maximum: the run stops when the verdict is decided" in page
     nothing = api.plan("quick.yaml", policy="./soft", baseline="none")
     assert (nothing.against, nothing.drawn_from) == (None, None)
     with pytest.raises(
@@ -637,7 +637,8 @@ def test_on_a_class_of_machine_that_the_bank_has_not_seen_its_own_policy_runs_an
     if not same_bits:
         told = headline(judged.verdict, judged.info)
         assert "same policy as baseline shipped, but this machine or version computes" in told
-        assert "judged against the baseline's results" in " ".join(judged.verdict.reasons)
+        said = " ".join(judged.verdict.reasons)
+        assert "its trials are compared with the baseline's like those of a new policy" in said
 
 
 def test_a_small_baseline_is_no_measure_of_a_machine_with_other_bits_and_the_run_is_invalid():

@@ -50,7 +50,7 @@ def test_a_run_on_another_panel_says_so_and_is_resumed_on_it(suite, tmp_path):
     assert {row.seed for row in own.rows}.isdisjoint(row.seed for row in other.rows)
     info = json.loads((tmp_path / "other" / "run.json").read_text())
     assert info["suite"]["seed"] == 6
-    assert "in this seed set (seed 6)" in (tmp_path / "other" / "report.md").read_text()
+    assert "On this seed set (seed 6)" in (tmp_path / "other" / "report.md").read_text()
     (tmp_path / "other" / "trials.parquet").unlink()
     journal = tmp_path / "other" / "journal.jsonl"
     journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:-1]))

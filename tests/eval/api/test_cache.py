@@ -68,7 +68,7 @@ def test_a_run_of_more_trials_runs_those_and_one_of_the_others(filled, place):
     assert more.verdict.verdict == "RAN"
     assert f"{words} and matched." in " ".join(summary(more).split())
     for page in (more.page, more.html):
-        assert "2 of 5 results are from earlier runs" in page.read_text()
+        assert "Cache: 2 of 5 results reused" in page.read_text()
     for row in more.rows:
         assert (more.folder / row.mcap_path).stat().st_size == row.mcap_bytes
     # The pages name a log as RUN/mcap/SCENE/TRIAL.mcap, whether its trial was taken over or not.
