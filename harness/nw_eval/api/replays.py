@@ -237,7 +237,7 @@ def _found(log: Path) -> Path:
     found = taken_over_log(log)
     if not found.is_file():
         raise UsageError(
-            f"{log} is {'a folder' if log.is_dir() else 'no file'}",
+            f"{log} is {'a folder' if log.is_dir() else 'not a file'}",
             fix="name a trial's log, such as RUN/mcap/SCENE/TRIAL.mcap",
         )
     return found

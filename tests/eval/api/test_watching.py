@@ -135,7 +135,7 @@ def test_the_latest_comes_first_and_each_is_gated_against_the_best_before_it(tra
     # A baseline of the run itself says that it may have been chosen by it.
     saved = api.save_baseline("one.yaml", run=found.folder / two.run, root=Path("saved"))
     assert saved.may_have_chosen
-    assert "note: this run is of a training that was watched" in saved_page(saved)
+    assert "note: this run is of a watched training" in saved_page(saved)
     assert checkpoint_line(replace(last, drop_trials=4, trials=9)).endswith(
         "against step 2 in the 4 trials that settled it · completed 0 of 9 trials"
     )
@@ -259,5 +259,5 @@ def test_that_no_checkpoint_can_pass_with_so_few_trials_is_said_before_any_runs(
 
 
 def test_what_is_no_folder_is_refused(training):
-    with pytest.raises(UsageError, match="no folder"):
+    with pytest.raises(UsageError, match="not a folder"):
         watched(training / "nothing")

@@ -110,7 +110,7 @@ def test_a_run_gives_the_same_bits_again_and_says_so(run, capsys):
     out = capsys.readouterr().out
     assert "as the run ended: 3 rows and 3 logs" in out
     assert "states, actions and the log, images included, byte for byte" in out
-    assert "1 of 1 trial with the same bits, drawn from 3 by --seed " in out
+    assert "re-run: 1 of 1 trial identical, drawn from 3 by --seed " in out
     assert {path: path.stat().st_mtime_ns for path in run.path.rglob("*")} == before
 
 
