@@ -86,7 +86,6 @@ NOT_RUN = MappingProxyType(
         "nw-eval report --site site runs/*": "in a workflow; the page does it with two runs",
         "nw-eval scores walk.mcap --robot go1": "a robot's log; tests/gate/scores has one",
         "make run": "minutes; CI does it on a fresh machine",
-        "make build": "minutes; CI does it, and runs the wheel",
         **dict.fromkeys(
             [
                 "nw-eval report reports/smoke-go1-parkour-* --open",

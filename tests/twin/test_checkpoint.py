@@ -109,5 +109,5 @@ def test_arrays_that_do_not_belong_together_are_refused(saved, monkeypatch, name
 def test_bytes_that_hold_no_arrays_are_refused(tmp_path):
     with sealed_path(tmp_path / "state") as path:
         path.write_bytes(b"\x05\0\0\0[[[[[")
-    with pytest.raises(StoreError, match="no training to go on with"):
+    with pytest.raises(StoreError, match="no training to resume"):
         resume_training(tmp_path / "state", photos(2), beginning(), BUSY)

@@ -248,7 +248,7 @@ def cli_exit(arguments, code=0):
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ({}, "does not say which robot it is of"),
+        ({}, "does not name its robot"),
         ({"robot": "nobodys"}, "unknown robot"),
         ({"robot": "go1", "topics": ["joints=/nothing"]}, "topic '/nothing' is not there"),
         ({"robot": "go1", "topics": ["joints=/odom"]}, "not joints"),

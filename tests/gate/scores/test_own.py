@@ -176,7 +176,7 @@ def test_check_says_what_a_gate_of_scores_alone_asks(tmp_path):
     page = forecast_page(nw_eval.check(tmp_path / "own.yaml"))
     assert "RAN" not in page
     asked = "mean_power by its bar 150 (95 % confidence); mean_power by its max_drop 60"
-    assert f"no bar of success (gate.success_rate); {asked}" in page
+    assert f"no bar for success (gate.success_rate); {asked}" in page
 
 
 def test_a_function_takes_no_name_of_a_score_of_the_task():

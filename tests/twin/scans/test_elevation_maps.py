@@ -243,7 +243,7 @@ def test_a_map_whose_first_row_is_the_southernmost_is_refused_and_so_are_heights
 def test_black_of_a_tiff_is_refused_as_white_is(tmp_path):
     Image.fromarray(np.zeros((4, 4), np.float32)).save(tmp_path / "map.tif")
     for options in ({"black": 1.0}, {"white": 1.0}):
-        with pytest.raises(UsageError, match="leave --white and --black out"):
+        with pytest.raises(UsageError, match="drop --white and --black"):
             read_elevation(tmp_path / "map.tif", cell=0.1, **options)
 
 

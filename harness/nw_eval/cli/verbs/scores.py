@@ -27,7 +27,10 @@ class Scores(Verb):
     """Print JSON."""
 
     def show(self, found: LogScores) -> str:
-        return scores_json(found) if self.json else scores_text(found)
+        return scores_text(found)
+
+    def shown_json(self, found: LogScores) -> str:
+        return scores_json(found)
 
 
 def scores_json(found: LogScores) -> str:

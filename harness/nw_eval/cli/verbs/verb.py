@@ -83,6 +83,10 @@ class Verb:
         """Return what is printed of an answer; nothing is where it is empty."""
         return str(found)
 
+    def shown_json(self, found: Any) -> str:
+        """Return what `--json` prints of an answer."""
+        return json_text(found)
+
     def code(self, found: Any) -> int:
         """Return the exit code of an answer."""
         if getattr(found, "interrupted", False):
@@ -106,7 +110,7 @@ class Verb:
 
     def __call__(self) -> int:
         found = self.call()
-        if shown := json_text(found) if getattr(self, "json", False) else self.show(found):
+        if shown := self.shown_json(found) if getattr(self, "json", False) else self.show(found):
             print(shown)
         code = self.code(found)
         if code == INTERRUPTED:

@@ -74,17 +74,17 @@ def test_the_sentence_says_when_and_how_long_before_what():
 
 def test_a_baseline_that_fails_the_start_too_is_said_to():
     line = trial_line(attributed((0, False), (100, False)))
-    assert "not the candidate's fault alone: old fails this start as well (fell at 2.00 s)" in line
+    assert "not only the candidate's fault: old fails from the start, too (fell at 2.00 s)" in line
 
 
 def test_what_is_not_monotone_is_said_to_be():
     line = trial_line(attributed((0, True), (50, False), (100, True), (150, False)))
     assert "not monotone: completes from 0.00 s, fails from 1.00 s" in line
     assert "completes again from 2.00 s, fails from 3.00 s" in line
-    assert "as well" not in line
+    assert "from the start, too" not in line
     late = trial_line(attributed((0, False), (100, True), (150, False)))
     assert "fails from 0.00 s, completes from 2.00 s, fails" in late
-    assert late.endswith("old fails this start as well")
+    assert late.endswith("old fails from the start, too")
 
 
 def test_a_baseline_that_saves_it_until_the_end_is_said_to():
@@ -101,7 +101,7 @@ def test_files_hold_every_try_and_the_page_a_table():
     attribution = api.Attribution(
         run="r", plan=plan, trials=(attributed((0, True), (216, False)), lost)
     )
-    assert "2 more are left out, --trials 4" in forecast_line(plan)
+    assert "2 more are skipped; --trials 4 includes them" in forecast_line(plan)
     assert "1 failed trial without a log" in forecast_line(plan)
     read = json.loads(written(attribution, ".json"))
     assert [each["committed_s"] for each in read["trials"]] == [0.0, None]
