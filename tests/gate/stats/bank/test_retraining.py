@@ -25,8 +25,8 @@ def collapsing(share: float, drop: float) -> Draw:
 
 SPREADS: dict[str, Draw] = {
     "normal": lambda rng, shape: rng.normal(0.93, 0.015, shape),
-    "one seed of ten collapses by .18": collapsing(0.1, 0.18),
-    "one of five collapses by .13": collapsing(0.2, 0.13),
+    "one seed of ten collapses by 0.18": collapsing(0.1, 0.18),
+    "one of five collapses by 0.13": collapsing(0.2, 0.13),
     "exponential below 1": lambda rng, shape: 1.0 - rng.exponential(0.05, shape),
 }
 
