@@ -207,7 +207,7 @@ def test_links_of_a_folder_that_may_be_a_strangers_are_not_followed(tmp_path):
     with pytest.raises(OSError, match="symbolic links"):
         open_own(tmp_path / "report.md", os.O_RDWR)
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(OSError, match="no regular file"):
+    with pytest.raises(OSError, match="not a regular file"):
         open_own(tmp_path / "pipe", os.O_RDWR)
     assert (tmp_path / "mine").read_bytes() == b"mine"
 
