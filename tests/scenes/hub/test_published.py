@@ -136,7 +136,7 @@ def link(name):
         (GOOD | {"../escaped.xml": XML}, None),
         (GOOD | {"/escaped.xml": XML}, None),
         (GOOD | {"geometry/..\\escaped.obj": "v"}, "has a backslash"),
-        (GOOD | {link("geometry/linked.obj"): "/etc/passwd"}, "no plain file"),
+        (GOOD | {link("geometry/linked.obj"): "/etc/passwd"}, "not a regular file"),
         ({"geometry/collision_mesh.obj": "v"}, r"holds no XML at its root, .* docs/\S+\.md"),
         (b"PK nothing", "is damaged: .*; fetch it again"),
     ],

@@ -195,7 +195,8 @@ def test_a_misspelt_robot_gets_the_nearest_name():
         ("barkour_v0", "google_barkour_v0"),
     ],
 )
-def test_a_robot_that_menagerie_has_is_answered_with_what_to_type(name, model):
+def test_a_robot_that_menagerie_has_is_answered_with_what_to_type(name, model, monkeypatch):
+    monkeypatch.setattr("nw_scenes.robots._folders", {})  # Of tests before.
     with pytest.raises(UsageError) as caught:
         get_robot(name)
     assert caught.value.message == f"unknown robot {name!r}"
@@ -204,7 +205,8 @@ def test_a_robot_that_menagerie_has_is_answered_with_what_to_type(name, model):
 
 
 @pytest.mark.parametrize("name", ["b2", "go2w", "h1_2", "anymal_d", "digit"])
-def test_a_robot_that_is_nowhere_is_answered_with_how_to_make_its_folder(name):
+def test_a_robot_that_is_nowhere_is_answered_with_how_to_make_its_folder(name, monkeypatch):
+    monkeypatch.setattr("nw_scenes.robots._folders", {})  # Of tests before.
     with pytest.raises(UsageError) as caught:
         get_robot(name)
     assert caught.value.fix == (
