@@ -63,7 +63,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_base import same_bits
-from nw_gate.stats.bank.evidence import check_successes
 from nw_gate.stats.betting import Groups, evidence_above, log_bets, log_mixture
 
 Floats = NDArray[np.float64]
@@ -106,8 +105,9 @@ def possible_ranks(policies: Sequence[Groups], error: float = 0.05) -> tuple[Ran
     shapes = [tuple(len(scene) for scene in groups) for groups in policies]
     if len({*shapes}) > 1:
         raise ValueError("policies with other numbers of starts cannot be compared start by start")
-    for scores in (score for groups in policies for score in groups):
-        check_successes(np.asarray(scores, dtype=np.float64))
+    for scores in (np.asarray(scene) for groups in policies for scene in groups):
+        if not ((scores >= 0.0) & (scores <= 1.0)).all():
+            raise ValueError("a success is not between 0 and 1")
     pairs = list(permutations(range(len(policies)), 2))
     if not pairs or not sum(shapes[0]):
         return (Ranks(best=1, worst=len(policies)),) * len(policies)
