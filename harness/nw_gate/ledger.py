@@ -311,7 +311,7 @@ def check_ledger(path: Path) -> None:
         if is_stream(path):
             if target.is_file():  # An open file, as of `/dev/fd/3`.
                 return
-            raise UsageError(f"cannot write {path}: it is no regular file", fix=_OTHER)
+            raise UsageError(f"cannot write {path}: it is not a regular file", fix=_OTHER)
         check_place(target)
         if what_is(target) == "file":
             os.close(open_own(target, os.O_RDWR))

@@ -56,51 +56,50 @@ class Request:
 
     # These docstrings are the help of the command line, too.
     suite: str | Path | None = None
-    """A suite file, or the name of a shipped suite (`nw-eval suites` lists them).
-    Only --resume can do without."""
+    """A suite file or a shipped suite's name (`nw-eval suites` lists them). Optional with
+    --resume."""
     robot: str | None = None
-    """go1, go2, the name of another robot, the path of its folder, hub:org/name[@revision] or
-    menagerie:NAME; the suite's own when absent."""
+    """A robot's name, such as go1, its folder, hub:org/name[@revision] or menagerie:NAME (default:
+    the suite's robot)."""
     policy: str | None = None
-    """A shipped bundle's name, a bundle's folder, a card, or hub:org/name[@revision]; the suite's
-    own when absent."""
+    """A shipped policy's name, a policy folder, a card, or hub:org/name[@revision] (default: the
+    suite's policy)."""
     checkpoint: Path | None = None
-    """Weights to use in place of those that the card names."""
+    """Use these weights instead of the card's."""
     trials: int | None = None
-    """Trials per scene, against a baseline at most; the suite's own number when absent."""
+    """Trials per scene, a maximum when comparing with a baseline (default: the suite's number)."""
     scenes: tuple[str, ...] | None = None
-    """Only scenes that match one of these globs, or are of `split:train` or `split:eval`."""
+    """Only scenes that match one of these globs; `split:train` and `split:eval` work, too."""
     seed: int | None = None
-    """Another seed set than the suite's own: other trials in the same scenes."""
+    """Use a different seed: new initial states in the same scenes (default: the suite's)."""
     baseline: str | None = None
-    """The baseline to compare with: its name, its file, or none. When absent the suite's own
-    where the policy is the suite's own, else none: the bar alone judges."""
+    """The baseline to compare with: a name, a file, or none (default: the suite's baseline if the
+    policy is the suite's, else none)."""
     baseline_policy: str | None = None
-    """The baseline's own policy, for a machine that it has not seen; where the baseline says when
-    absent."""
+    """The baseline's policy, needed on a machine type that the baseline has no results for
+    (default: the path in the baseline)."""
     recheck: int | None = None
-    """Starts of each scene that run again, drawn when the run begins, where the policy is the
-    baseline's own and the rest is reused from the baseline; 1 when absent."""
+    """Initial states to re-run per scene when the policy is the baseline's own; the baseline
+    supplies the other results (default: 1)."""
     panel: PanelKind | None = None
-    """The seed set of the suite's seed (pinned), or one of the checkpoint's own (fresh), by its
-    digest, for a release. pinned when absent."""
+    """pinned uses the suite's seed. fresh derives a seed from the checkpoint's digest, to confirm a
+    release (default: pinned)."""
     record: Record | None = None
-    """Camera images in MCAP for which trials; the suite's own choice when absent."""
+    """Trials whose MCAP logs contain camera images (default: the suite's choice)."""
     time_limit: float | None = None
-    """Seconds of wall time after which a trial counts as hung; a generous default when absent."""
+    """Wall time, in seconds, after which a trial counts as hung (default: generous)."""
     memory_limit: str | None = None
-    """Memory that a worker may hold with the processes that it started, such as 2GB or 1.5GiB: a
-    trial that takes more ends as crashed. No limit of its own when absent."""
+    """Memory of a worker and its child processes, such as 2GB or 1.5GiB. A trial that uses more
+    ends as crashed (default: no limit)."""
     render: Backend | None = None
-    """The splat renderer; cpu when absent. There is no silent fallback."""
+    """The splat renderer; it never falls back to another one (default: cpu)."""
     collision: Collision | None = None
-    """How scan meshes collide: compiled to terrain, or slow and exact by their own triangles.
-    The suite's own choice when absent, which is terrain where it makes none."""
+    """How scan meshes collide: terrain compiles them and is fast; triangles is exact and slow
+    (default: the suite's choice, else terrain)."""
     allow_code: bool = False
-    """Let Python code run: that of the policy's card behind the fence, a sensor's and a suite's
-    scores beside the world."""
+    """Allow Python code of the policy's card (confined), of sensors and of the suite's scores."""
     shard: str | None = None
-    """I/N: only part I of N of the trials, which `nw-eval merge` puts together and judges."""
+    """I/N runs only shard I of N. `nw-eval merge` merges the shards and judges them."""
 
     @classmethod
     def of(cls, request: Request | str | Path | None, **changes: Any) -> Request:

@@ -264,7 +264,7 @@ def check_plain(folder: RunFolder) -> None:
             is_link = stat.S_ISLNK(facts.st_mode)
             # What a link of ours leads to is among the files; whose row has it, digests say.
             if not stat.S_ISREG(facts.st_mode) and not (is_link and is_own_link(path, name)):
-                kind = "a symbolic link" if is_link else "no plain file"
+                kind = "a symbolic link" if is_link else "not a plain file"
                 fault = f"{name} is {kind}"
             elif facts.st_nlink > 1 and path.suffix != ".mcap":
                 fault = f"{name} is a hard link: the file has another name, too"

@@ -147,8 +147,6 @@ def _evidence(one: Groups, other: Groups) -> Floats:
     if rounds * len(counts) < _WHOLE * sum(counts):
         return np.array([evidence_above(halves, 0.5)])
     values = np.stack([scene[:rounds] for scene in halves])
-    if not ((values >= 0.0) & (values <= 1.0)).all():
-        raise ValueError("a difference of two successes is not between -1 and 1")
     known, places = np.unique(values, return_inverse=True)
     each = log_bets(known, 1.0, 0.5)[:, places.reshape(values.shape)]
     fixed = log_mixture(each.sum(axis=1).cumsum(axis=1).T)

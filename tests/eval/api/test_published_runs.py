@@ -288,18 +288,18 @@ HOSTILE = {
         lambda run, out: run.cause.hardlink_to(out),
         "cause.json is a hard link",
     ),
-    "a pipe": (lambda run, _: os.mkfifo(run.cause), "cause.json is no plain file"),
+    "a pipe": (lambda run, _: os.mkfifo(run.cause), "cause.json is not a plain file"),
     "a pipe for rows": (
         lambda run, _: (run.journal.unlink(), os.mkfifo(run.journal)),
-        "journal.jsonl is no plain file",
+        "journal.jsonl is not a plain file",
     ),
     "a pipe among the logs": (
         lambda run, _: (run.logs.mkdir(), os.mkfifo(run.logs / "x.mcap")),
-        "mcap/x.mcap is no plain file",
+        "mcap/x.mcap is not a plain file",
     ),
     "a folder for rows": (
         lambda run, _: (run.trials.unlink(), run.trials.mkdir()),
-        "trials.parquet is no plain file",
+        "trials.parquet is not a plain file",
     ),
     "a log of a terabyte": (
         lambda run, _: (run.logs.mkdir(), os.truncate(_made(run.logs / "x.mcap"), 2**40)),

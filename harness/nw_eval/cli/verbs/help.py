@@ -106,8 +106,6 @@ def told_of(form: type) -> dict[str, str]:
             match field, text:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=v)):
                     told[name] = str(v)
-                case ast.AnnAssign(target=ast.Name(id=name)), _:
-                    told.pop(name, None)  # Its type has the help.
                 case _:
                     pass
     return told

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 import tyro
 
 from nw_base.errors import NwEvalError, UsageError
-from nw_base.words import Backend, Collision, PanelKind, Record
-from nw_eval.cli.verbs.shared import Checkpoint, Scenes, Workers
+from nw_base.words import PanelKind
+from nw_eval.cli.verbs.shared import Scenes, Workers
 from nw_gate.results.request import Request
 
 if TYPE_CHECKING:
@@ -31,48 +31,10 @@ class Options(Request):
     """A request with its letters. Order and help of the options are those of its fields."""
 
     suite: tyro.conf.Positional[str | None] = None
-    """A suite file or a shipped suite's name (`nw-eval suites` lists them). Optional with
-    --resume."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """A shipped policy's name, a policy folder, a card, or hub:org/name[@revision] (default: the
-    suite's policy)."""
-    robot: str | None = None
-    """A robot's name, such as go1, its folder, hub:org/name[@revision] or menagerie:NAME (default:
-    the suite's robot)."""
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
-    """Trials per scene, a maximum when comparing with a baseline (default: the suite's number)."""
-    checkpoint: Checkpoint = None
     scenes: Scenes = None
-    seed: int | None = None
-    """Use a different seed: new initial states in the same scenes (default: the suite's)."""
     panel: Annotated[PanelKind | None, tyro.conf.arg(name="seed-set")] = None
-    """pinned uses the suite's seed. fresh derives a seed from the checkpoint's digest, to confirm a
-    release (default: pinned)."""
-    shard: str | None = None
-    """I/N runs only shard I of N. `nw-eval merge` merges the shards and judges them."""
-    time_limit: float | None = None
-    """Wall time, in seconds, after which a trial counts as hung (default: generous)."""
-    memory_limit: str | None = None
-    """Memory of a worker and its child processes, such as 2GB or 1.5GiB. A trial that uses more
-    ends as crashed (default: no limit)."""
-    collision: Collision | None = None
-    """How scan meshes collide: terrain compiles them and is fast; triangles is exact and slow
-    (default: the suite's choice, else terrain)."""
-    render: Backend | None = None
-    """The splat renderer; it never falls back to another one (default: cpu)."""
-    baseline: str | None = None
-    """The baseline to compare with: a name, a file, or none (default: the suite's baseline if the
-    policy is the suite's, else none)."""
-    baseline_policy: str | None = None
-    """The baseline's policy, needed on a machine type that the baseline has no results for
-    (default: the path in the baseline)."""
-    recheck: int | None = None
-    """Initial states to re-run per scene when the policy is the baseline's own; the baseline
-    supplies the other results (default: 1)."""
-    record: Record | None = None
-    """Trials whose MCAP logs contain camera images (default: the suite's choice)."""
-    allow_code: bool = False
-    """Allow Python code of the policy's card (confined), of sensors and of the suite's scores."""
     workers: Workers = None
 
     @property

@@ -221,10 +221,9 @@ def _shared(name: str) -> _Option:
         hint, arg = get_args(SHARED[name])
         default = {bool: False, str: inspect.Parameter.empty}.get(hint)
         return _Option(name, hint, default, arg)
-    from nw_eval.cli.verbs.options import Options
     from nw_gate.results.request import Request
 
-    hint, told = _hints_of(Request, [name])[name], told_of(Options)[name]
+    hint, told = _hints_of(Request, [name])[name], told_of(Request)[name]
     default = Request.__dataclass_fields__[name].default
     return _Option(name, _plain(hint), default, _arg(name, " ".join(told.split())))
 
