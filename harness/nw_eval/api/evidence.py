@@ -170,6 +170,8 @@ class WantedLog:
     scene: str
     """Of which the first log that can be read shows the scene."""
     clip: bool
+    waypoint: int = 0
+    """Until shortly after which its film goes; 0 = until the trial's end."""
 
 
 def read_apart(
@@ -225,7 +227,7 @@ def _read_batch(
     return logs if len(logs) == len(batch) else None
 
 
-_FORMAT = 1
+_FORMAT = 2
 _LIBRARIES = ("numpy", "pillow")
 """That pictures are made with; whoever has other ones makes other bytes."""
 _MOST_FILE = 2**26
@@ -266,7 +268,10 @@ class KeptEvidence:
         if not all(sums):
             return ""
         makers = [code_info().digest, *map(version, _LIBRARIES)]
-        logs = [[each, log.scene, log.clip] for each, log in zip(sums, wanted, strict=True)]
+        logs = [
+            [each, log.scene, log.clip, log.waypoint]
+            for each, log in zip(sums, wanted, strict=True)
+        ]
         return digest_of([_FORMAT, makers, self.policy, dict(room), logs])
 
     def find(self, key: str) -> tuple[ReadLog, ...] | None:
@@ -342,7 +347,12 @@ def composed(results: Sequence[Row], read: Mapping[str, ReadLog]) -> LogEvidence
     )
     return LogEvidence(
         paths=tuple(
-            WalkedPath(trial_id=row.trial_id, points=np.array(log.walked, dtype=np.float64))
+            WalkedPath(
+                trial_id=row.trial_id,
+                points=np.array(log.walked, dtype=np.float64),
+                period=log.period,
+                contacts=log.contacts,
+            )
             for row, log in shown
         ),
         places=tuple(
@@ -396,6 +406,8 @@ def _clip(row: Row, clip: ReadClip) -> Clip:
         height=clip.height,
         seconds=clip.seconds,
         caption=f"{way or 'The'} last {clip.seconds:.1f} s: {eyes}.",
+        span=f"{way or 'The'} last {clip.seconds:.1f} s.",
+        is_of_policy=is_seen,
     )
 
 

@@ -11,6 +11,7 @@ from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -34,7 +35,8 @@ if TYPE_CHECKING:
 
 MOST_FILMS = 3
 """Trials that are shown from outside; each takes three seconds of processor time."""
-_FILM_BYTES = 240_000
+FILM_BYTES = 240_000
+"""Of one film."""
 _VIEW = (256, 144)
 """Pixels of a picture from outside."""
 _TOP_BYTES = 30_000
@@ -46,9 +48,11 @@ _EYE = 200.0
 _OVER = 1.2
 """Metres over the highest waypoint from which on nothing is drawn: lamps, ceilings, crowns."""
 _TIME_LIMIT = 240.0
+_AFTER = 0.5
+"""Seconds that a film goes on after the waypoint that it is about."""
 
 
-class _Drawn(BaseModel):
+class Drawn(BaseModel):
     """What the confined process answers."""
 
     model_config = ConfigDict(
@@ -142,7 +146,7 @@ def with_drawn(
     return replace(
         evidence,
         clips=tuple(
-            replace(each, outside=_film(by_trial[each.trial_id]))
+            replace(each, outside=film_of(by_trial[each.trial_id]))
             if each.trial_id in by_trial
             else each
             for each in evidence.clips
@@ -201,50 +205,64 @@ def _found_or_drawn(
     also: Sequence[Path],
 ) -> tuple[tuple[ReadClip | None, ...], dict[str, PlacePicture]]:
     """Return films of logs and pictures of scenes, drawn where they are not kept."""
-    key = "" if kept is None or not wanted else kept.key(wanted, {"film": _FILM_BYTES})
-    old = _read(kept, key)
+    key = "" if kept is None or not wanted else kept.key(wanted, {"film": FILM_BYTES})
+    old = read_drawn(kept, key)
     films = None if old is None or len(old.films) != len(wanted) else old.films
     pictures: dict[str, bytes] = {}
     missing: list[_Top] = []
     for top in tops:
-        one = _read(kept, top.key)
+        one = read_drawn(kept, top.key)
         if one is None or len(one.tops) != 1:
             missing.append(top)
         else:
             pictures[top.name] = one.tops[0]
     if missing or (films is None and wanted):
-        drawn = _drawn_apart([] if films is not None else wanted, missing, scenes, also)
+        drawn = drawn_apart([] if films is not None else wanted, missing, scenes, also)
         if films is None:
             films = drawn.films
-            _keep(kept, key, _Drawn(films=films))
+            keep_drawn(kept, key, Drawn(films=films))
         for top, picture in zip(missing, drawn.tops, strict=True):
             pictures[top.name] = picture
-            _keep(kept, top.key, _Drawn(tops=(picture,)))
+            keep_drawn(kept, top.key, Drawn(tops=(picture,)))
     boxes = {top.name: top.box for top in tops}
     return films or (), {
         name: _picture(data, boxes[name]) for name, data in pictures.items() if data
     }
 
 
-def _read(kept: KeptEvidence | None, key: str) -> _Drawn | None:
+def read_drawn(kept: KeptEvidence | None, key: str) -> Drawn | None:
+    """Return what was drawn before; None if nothing is kept under the key."""
     content = None if kept is None or not key else kept.find_text(key)
     try:
-        return None if content is None else _Drawn.model_validate_json(content)
+        return None if content is None else Drawn.model_validate_json(content)
     except ValidationError:
         return None
 
 
-def _keep(kept: KeptEvidence | None, key: str, drawn: _Drawn) -> None:
+def keep_drawn(kept: KeptEvidence | None, key: str, drawn: Drawn) -> None:
+    """Keep what was drawn, if there is a cache; nothing under an empty key."""
     if kept is not None and key:
         kept.keep_text(key, drawn.model_dump_json())
 
 
-def _drawn_apart(
+def drawn_apart(
     wanted: Sequence[WantedLog],
     tops: Sequence[_Top],
     scenes: Mapping[str, tuple[str, Scene]],
     also: Sequence[Path],
-) -> _Drawn:
+) -> Drawn:
+    """Return films of logs and pictures of scenes, drawn by one confined process.
+
+    Args:
+        wanted: logs of which a film is wanted.
+        tops: scenes of which a picture from above is wanted.
+        scenes: what opens each scene, and the scene, by name.
+        also: folders that the process may read besides the scenes.
+
+    Raises:
+        StoreError: the process gave no pictures.
+        NwEvalError: it took more time or memory than it may.
+    """
     from nw_base.errors import StoreError
     from nw_sim.rollout.confined.access import drawing_rules
     from nw_sim.rollout.confined.isolated import call_isolated
@@ -258,11 +276,11 @@ def _drawn_apart(
         rules=drawing_rules(scenes=[reference for reference, _ in used], also=also),
         time_limit=_TIME_LIMIT,
         renders=("ray", "rays") if any(scene.splat is not None for _, scene in used) else ("rays",),
-        logs=[str(log.path.resolve()) for log in wanted],
+        logs=[(str(log.path.resolve()), log.waypoint) for log in wanted],
         tops=[(top.reference, list(top.box)) for top in tops],
     )
     try:
-        drawn = _Drawn.model_validate_json(str(answer))
+        drawn = Drawn.model_validate_json(str(answer))
     except ValidationError:
         raise StoreError("the process that draws them gave no pictures") from None
     if (len(drawn.films), len(drawn.tops)) != (len(wanted), len(tops)):
@@ -270,7 +288,8 @@ def _drawn_apart(
     return drawn
 
 
-def _film(clip: ReadClip) -> Film:
+def film_of(clip: ReadClip) -> Film:
+    """Return a drawn clip as a page shows it."""
     return Film(data=clip.data, still=clip.still, width=clip.width, height=clip.height)
 
 
@@ -287,27 +306,35 @@ def _picture(data: bytes, box: Box) -> PlacePicture:
     )
 
 
-def _draw(*, logs: Sequence[str], tops: Sequence[tuple[str, Sequence[float]]]) -> str:
-    """Return JSON of `_Drawn`; in a confined process."""
+def _draw(*, logs: Sequence[tuple[str, int]], tops: Sequence[tuple[str, Sequence[float]]]) -> str:
+    """Return JSON of `Drawn`; in a confined process.
+
+    Args:
+        logs: the path of each, and the waypoint until which its film goes; 0 = until its end.
+        tops: what opens each scene, and its box.
+    """
     from nw_sim.rollout.library import Library
 
     library = Library()
-    drawn = _Drawn(
-        films=tuple(_film_or_none(Path(log), library) for log in logs),
+    drawn = Drawn(
+        films=tuple(_film_or_none(Path(log), library, waypoint) for log, waypoint in logs),
         tops=tuple(_from_above(library.scene(reference), box) for reference, box in tops),
     )
     return drawn.model_dump_json()
 
 
-def _film_or_none(path: Path, library: Library) -> ReadClip | None:
+def _film_or_none(path: Path, library: Library, waypoint: int) -> ReadClip | None:
     try:
-        return _film_of(path, library)
+        return _filmed(path, library, waypoint)
     except Exception:  # noqa: BLE001 - A log that cannot be drawn costs its own film alone.
         return None
 
 
-def _film_of(path: Path, library: Library) -> ReadClip | None:
-    """Return the last seconds of a trial from behind the robot's shoulder; None without states."""
+def _filmed(path: Path, library: Library, waypoint: int) -> ReadClip | None:
+    """Return seconds of a trial from behind the robot's shoulder; None without states.
+
+    They are the last ones, or those until shortly after a waypoint was reached.
+    """
     from PIL import Image
 
     from nw_scenes.robots import know_robot
@@ -325,14 +352,24 @@ def _film_of(path: Path, library: Library) -> ReadClip | None:
         if not states:
             return None
         times = [state.step / logged.control_rate for state in states]
+        end = min(times[-1], _reached(logged.log, waypoint) + _AFTER) if waypoint else times[-1]
         spectator = Spectator(trial.scene, None if trial.scene.splat is None else trial.shown())
-        for time, pose in _poses(logged.log, times[-1], world.robot.joints).items():
+        for time, pose in _poses(logged.log, end, world.robot.joints).items():
             # What moves besides the robot is where it was at the last state.
             world.restore(states[max(0, bisect_right(times, time + 1e-6) - 1)].world)
             world.pose(*pose)
             view = spectator.beside(world, trail, width=width, height=height)
             frames.append((time, sized(Image.fromarray(view))))
-    return clip_of(frames, topic="", end=times[-1], most_bytes=_FILM_BYTES) if frames else None
+    return clip_of(frames, topic="", end=end, most_bytes=FILM_BYTES) if frames else None
+
+
+def _reached(log: LogReader, waypoint: int) -> float:
+    """Return when a trial reached a waypoint, s; infinity if it did not."""
+    events = log.messages("/nw/event")
+    found = [
+        t for _, t, event in events if event.kind == "waypoint" and event.waypoint == waypoint - 1
+    ]
+    return found[0] * 1e-9 if found else inf
 
 
 _Pose = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
@@ -349,7 +386,7 @@ def _poses(log: LogReader, end: float, joints: Sequence[str]) -> dict[float, _Po
     for topic, time_ns, message in log.messages("/robot/odom", "/robot/joints"):
         time = time_ns * 1e-9
         since = time / PERIOD
-        is_whole = abs(since - round(since)) < 1e-3 and time > end - SECONDS + 1e-6
+        is_whole = abs(since - round(since)) < 1e-3 and end - SECONDS < time - 1e-6 <= end
         if not is_whole and abs(time - end) > 1e-6:
             continue
         if topic == "/robot/odom":

@@ -1,8 +1,9 @@
 """One log read for what a page shows of it, within bounds, and without the simulator.
 
 It runs in a confined process (`evidence`): a log may be untrusted, and pictures are unpacked. A
-log shows the walk, the scene from straight above as the mesh that the log holds, drawn small, and
-the last seconds of a camera's pictures as one that moves: an animated WebP, small enough.
+log shows the walk, when contacts began, and the scene from straight above as the mesh that the log
+holds, drawn small. It shows the last seconds of a camera's pictures as one that moves: an animated
+WebP, small enough.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 _Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
+_Seconds = Annotated[float, Field(ge=0.0, le=1e6)]
 Point = tuple[_Metres, _Metres]
 """x and y in the world frame, m."""
 
@@ -33,6 +35,10 @@ _MOST_POINTS = 20_000
 """Of a path: half an hour at 10 Hz."""
 _LONGEST = 300
 """Characters of a text."""
+PATH_SECONDS = 0.1
+"""Between two points of a path, where its log is too short to say."""
+_MOST_CONTACTS = 200
+"""Of a trial, the first ones; a policy that scrapes along a wall begins a contact at every step."""
 
 
 class _Read(BaseModel):
@@ -73,6 +79,10 @@ class ReadLog(_Read):
     fault: str = Field(default="", max_length=_LONGEST)
     """Why it cannot be read; empty if it can, and then there is a path."""
     walked: tuple[Point, ...] = Field(default=(), max_length=_MOST_POINTS)
+    period: float = Field(default=PATH_SECONDS, gt=0.0, le=10.0)
+    """Seconds between two points of the walk; the last one may come sooner."""
+    contacts: tuple[_Seconds, ...] = Field(default=(), max_length=_MOST_CONTACTS)
+    """When each contact of head or trunk began, s."""
     waypoints: tuple[Point, ...] = Field(default=(), max_length=1000)
     reach: float | None = None
     """Metres from a waypoint at which it counts as reached."""
@@ -94,7 +104,7 @@ class ReadLogs(_Read):
     logs: tuple[ReadLog, ...]
 
 
-_PATH, _WAYPOINTS, _SCENE = "/robot/path", "/waypoints", "/scene"
+_PATH, _WAYPOINTS, _SCENE, _EVENT = "/robot/path", "/waypoints", "/scene", "/nw/event"
 _HIDDEN = frozenset({"place/overhead", "place/beside"})
 """Parts of a scene that stand over the course or are left out of it."""
 _FAR = 100.0
@@ -132,27 +142,33 @@ def _read(path: Path, *, place_bytes: int, clip_bytes: int) -> ReadLog:
     if not stat.S_ISREG(path.stat().st_mode):
         raise ValueError("it is not a file")
     first: dict[str, LoggedMessage] = {}
-    walked: LoggedMessage | None = None
+    walked: list[LoggedMessage] = []
+    contacts: list[float] = []
     pictures, end_ns = LatestPictures(), 0
-    topics = () if clip_bytes else (_PATH, _WAYPOINTS, *([_SCENE] if place_bytes else []))
+    topics = () if clip_bytes else (_PATH, _WAYPOINTS, _EVENT, *([_SCENE] if place_bytes else []))
     with path.open("rb") as stream:
         for message in logged(stream, topics):
             end_ns = message.time_ns
             if message.topic == _PATH:
-                walked = message
+                walked = [*walked[-1:], message]
+            elif message.topic == _EVENT:
+                if len(contacts) < _MOST_CONTACTS and _is_contact(message):
+                    contacts.append(round(message.time_ns * _SECOND, 3))
             elif message.topic in {_WAYPOINTS, _SCENE}:
                 first.setdefault(message.topic, message)
             elif clip_bytes:
                 pictures.take(message)
-    if walked is None or _WAYPOINTS not in first:
+    if not walked or _WAYPOINTS not in first:
         raise ValueError("it holds no walk, or no waypoints")
-    points = _points(walked)
+    points = _points(walked[-1])
     waypoints, reach = _waypoints(first[_WAYPOINTS])
     corners = np.array([points[0], *waypoints]) if waypoints else _square_round(points)
     box = box_round(corners)
     place = _place(first[_SCENE], box, place_bytes) if place_bytes and _SCENE in first else None
     return ReadLog(
         walked=_as_far_as_near(points, box),
+        period=_period(walked[0]) if len(walked) > 1 else PATH_SECONDS,
+        contacts=tuple(contacts),
         waypoints=waypoints,
         reach=reach,
         place=place,
@@ -170,6 +186,18 @@ def _points(message: LoggedMessage) -> NDArray[np.float64]:
         raise ValueError("its walked path is damaged")
     rows = np.frombuffer(cloud.data, np.uint8).reshape(-1, stride)
     return np.ascontiguousarray(rows[:, :8]).view("<f4").astype(np.float64)
+
+
+def _period(message: LoggedMessage) -> float:
+    """Return the seconds between points of a path, of which all but the last are equally apart."""
+    steps = len(_points(message)) - 1
+    return round(message.time_ns * _SECOND / steps, 6) if steps > 0 else PATH_SECONDS
+
+
+def _is_contact(message: LoggedMessage) -> bool:
+    from nw_sim.rollout.mcap.messages import Event
+
+    return Event.FromString(_bounded(message)).kind == "contact"
 
 
 def _as_far_as_near(points: NDArray[np.float64], box: Box) -> tuple[Point, ...]:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from nw_eval.api.evidence import KeptEvidence
     from nw_eval.reporting.html.evidence import LogEvidence
     from nw_eval.suite import Suite
-    from nw_gate.results.bank import Against, Start
+    from nw_gate.results.bank import Against, BankPolicy, Start
     from nw_gate.results.ended import RunRows
     from nw_gate.results.provenance import BaselineInfo, RunInfo
     from nw_gate.results.row import Row
@@ -53,6 +53,8 @@ class RunReport:
     """The baseline that it was compared with."""
     rivals: Mapping[str, Row | Start] = field(default_factory=dict[str, "Row | Start"])
     """What the baseline's policy did from the starts of its trials, by their names."""
+    baseline_policy: BankPolicy | None = None
+    """The policy that the baseline was saved with."""
     training: TrainingStep | None = None
     """Of a watched training: trackers show its scores at this step of a curve."""
 
@@ -144,7 +146,7 @@ def report_here(run: Path, *, how: Callable[[Path], RunReport] | None = None) ->
 
     judged = (how or as_begun)(run)
     kept = KeptEvidence.of_run(judged.info)
-    return written(judged, RunFolder(path=judged.folder).report_md, kept=kept)
+    return written(judged, RunFolder(path=judged.folder).report_md, kept=kept, is_ours=True)
 
 
 def as_begun(run: str | Path) -> RunReport:
@@ -303,10 +305,13 @@ def judged_rows(
         page=None,
         bank=None if against is None else against.info,
         rivals={} if against is None or is_fresh else against.rivals(found.rows, info),
+        baseline_policy=None if against is None else against.bank.manifest.policy,
     )
 
 
-def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -> RunReport:
+def written(
+    judged: RunReport, out: Path, *, kept: KeptEvidence | None = None, is_ours: bool = False
+) -> RunReport:
     """Write the pages of a judged run: one in Markdown, and beside it the other in HTML.
 
     Beside a device or a pipe nothing is written.
@@ -315,6 +320,7 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
         judged: the run.
         out: of either page.
         kept: what its logs may have shown before; None = they are read.
+        is_ours: whether this machine has just made the run, so that what its logs name is opened.
 
     Raises:
         StoreError: they cannot be written.
@@ -333,7 +339,7 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
     is_own = out == folder.report_md
     only = None if is_own or not is_stream(out) else out
     evidence = gather_evidence(folder, judged.rows, kept)
-    evidence = _drawn(evidence, folder, judged.info, judged.rows, is_own=kept is not None)
+    evidence = _drawn(evidence, folder, judged, judged.rows, is_own=is_ours)
     cause = read_cause_file(folder.cause)
     texts = {
         html: render_html(*facts, evidence, cause, judged.rivals),
@@ -351,21 +357,42 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
 
 
 def _drawn(
-    evidence: LogEvidence, folder: RunFolder, info: RunInfo, rows: Sequence[Row], *, is_own: bool
+    evidence: LogEvidence,
+    folder: RunFolder,
+    judged: RunReport,
+    rows: Sequence[Row],
+    *,
+    is_own: bool,
 ) -> LogEvidence:
     """Return evidence with pictures that no log has."""
     from nw_eval.api.evidence import KeptEvidence
+    from nw_eval.api.evidence_baseline import with_baseline_films
     from nw_eval.api.evidence_drawn import with_drawn
     from nw_gate.results.evidence_check import present_logs
 
-    return with_drawn(
+    info, logs = judged.info, present_logs(folder, rows)
+    kept = KeptEvidence.of_run(info)
+    evidence = with_drawn(
         evidence,
         folder,
         rows,
-        present_logs(folder, rows),
+        logs,
         digests={name: scene.digest for name, scene in info.scenes.items()},
-        kept=KeptEvidence.of_run(info),
+        kept=kept,
         is_own=is_own,
+    )
+    if judged.baseline_policy is None:
+        return evidence
+    return with_baseline_films(
+        evidence,
+        folder,
+        info,
+        {row.trial_id: row for row in rows},
+        logs,
+        policy=judged.baseline_policy,
+        rivals=judged.rivals,
+        kept=kept,
+        runs=is_own,
     )
 
 
@@ -398,7 +425,7 @@ def write_anew(judged: RunReport, path: Path, *, logs: bool, draws: bool) -> Non
         known = [row if row.mcap_sha256 else replace(row, mcap_path="") for row in judged.rows]
         evidence = gather_evidence(folder, known)
         if draws:
-            evidence = _drawn(evidence, folder, judged.info, known, is_own=False)
+            evidence = _drawn(evidence, folder, judged, known, is_own=False)
     cause = read_cause_file(folder.cause)
     facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
     write_report(path, render_html(*facts, evidence, cause, judged.rivals))

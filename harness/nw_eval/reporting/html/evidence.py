@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from nw_base.plural import plural
 
-CLIP_BYTES = 2_000_000
+CLIP_BYTES = 2_500_000
 """Bytes of all clips of a page together; base64 adds a third, and a page of 160 trials has 5 MB."""
 
 PICTURE_BYTES = 600_000
@@ -34,6 +34,10 @@ class WalkedPath:
     trial_id: str
     points: NDArray[np.floating]
     """Shape (n, 2): x and y, metres, in the order of time; as dense as the log has them."""
+    period: float = 0.1
+    """Seconds between two points; the last one may come sooner."""
+    contacts: tuple[float, ...] = ()
+    """When each contact of head or trunk began, s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,8 +106,39 @@ class Clip:
     """That it shows, simulated."""
     caption: str
     """One sentence on what is seen; may be a third party's text."""
+    span: str = ""
+    """The sentence without what is seen, for a page that leaves `data` out."""
+    is_of_policy: bool = True
+    """Whether the policy saw it; else the robot's camera did, for people."""
     outside: Film | None = None
     """The same seconds from behind the robot."""
+    baseline: Film | None = None
+    """The baseline's policy from the same initial state, from behind the robot, too."""
+    baseline_caption: str = ""
+    """What the baseline's policy does there; empty without `baseline`."""
+
+    @property
+    def films(self) -> tuple[tuple[str, Film | Clip], ...]:
+        """What a page shows side by side, each with its name.
+
+        A camera that no policy sees through is left out where both policies are shown.
+        """
+        outside = [
+            (name, film)
+            for name, film in (("candidate", self.outside), ("baseline", self.baseline))
+            if film is not None
+        ]
+        if len(outside) == 2 and not self.is_of_policy:
+            return tuple(outside)
+        name = "what the policy saw" if self.is_of_policy else "the robot's camera"
+        return (*outside, (name, self))
+
+    @property
+    def said(self) -> str:
+        """The sentence below these films."""
+        is_shown = any(film is self for _, film in self.films)
+        words = self.caption if is_shown or not self.span else self.span
+        return f"{words} Beside it: {self.baseline_caption}." if self.baseline else words
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,9 +164,9 @@ def clips_that_fit(evidence: LogEvidence) -> tuple[dict[str, Clip], tuple[str, .
     kept: dict[str, Clip] = {}
     room = CLIP_BYTES
     for clip in evidence.clips:
-        outside = clip.outside
         room -= len(clip.data) + len(clip.still or b"")
-        room -= 0 if outside is None else len(outside.data) + len(outside.still)
+        for film in (clip.outside, clip.baseline):
+            room -= 0 if film is None else len(film.data) + len(film.still)
         if room < 0:
             break
         kept[clip.trial_id] = clip

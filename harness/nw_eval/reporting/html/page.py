@@ -1,13 +1,14 @@
 """report.html: the verdict and what failed first, all trials last, in one file without others.
 
-The three worst trials are shown from outside beside what their policy saw, with what the
-baseline's policy did from the same start.
+The three worst trials are shown from outside, beside the baseline's policy from the same initial
+state. Every trial with a log opens in the page itself: its chart over time, where it walked, and
+the command that replays it.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -31,6 +32,7 @@ from nw_eval.reporting.html.evidence import (
     clips_that_fit,
     pictures_that_fit,
 )
+from nw_eval.reporting.html.timeline import Timeline, timeline
 from nw_eval.reporting.tables import NO_RIVALS, Rivals, named_tables
 from nw_eval.reporting.tables.run import label_name, throughput
 from nw_eval.reporting.tables.table import WORST, judged
@@ -75,6 +77,11 @@ def render_html(
     views = plan_views(rows, evidence, pictures)
     of_views = [*([evidence.of_paths] if evidence.of_paths else []), *pictures_left_out]
     word, *parts = headline_parts(verdict, run)
+    listed = listed_trials(rows)
+    charts = _charts(listed, evidence, rivals)
+    worst = worst_cards(judged(rows, verdict), clips, run, folder, rivals, charts)
+    sheets = trial_sheets(listed, worst, run, folder, rivals, charts)
+    opened = {each.row.trial_id for each in (*worst, *sheets)}
     return render(
         "report.html.j2",
         run=run,
@@ -91,14 +98,20 @@ def render_html(
         course=failing,
         # Where most was lost first, as in the table above them.
         views=[views[name] for name in dict.fromkeys((*failing.order, *views)) if name in views],
+        views_by_scene=views,
+        paths={
+            path.trial_id: number
+            for number, path in enumerate(path for view in views.values() for path in view.paths)
+        },
         outcomes=_outcomes(rows),
-        worst=worst_cards(judged(rows, verdict), clips, run, folder, rivals),
+        worst=worst,
+        sheets=sheets,
         places={name: number for number, name in enumerate(views, 1)},
         links={label_name(key): url for key, url in links_of(run.labels).items()},
         remarks=(*evidence.remarks, *clips_left_out, *([] if views else of_views)),
         of_views=of_views,
         spent=throughput(rows, run),
-        trials=trial_lines(listed_trials(rows), run, folder),
+        trials=trial_lines(listed, run, folder, opened),
         trials_in_all=len(rows),
         reached="waypoints" if any(row.waypoints_total for row in rows) else "success",
         scenes=sorted({row.scene for row in rows}),
@@ -112,9 +125,15 @@ def _outcomes(rows: Sequence[Row]) -> dict[str, int]:
     return {name: counts[name] for name in (*OUTCOMES, *FAULTS) if counts[name]}
 
 
+MOST_CHARTS = 320
+"""Trials that open in the page: each has 3 kB, and logs of more are not read."""
+NO_CHARTS: Mapping[str, Timeline] = {}
+"""Where no log was read."""
+
+
 @dataclass(frozen=True, kw_only=True)
-class WorstTrial:
-    """A trial that went badly."""
+class OpenedTrial:
+    """A trial as the page shows it by itself: a card of the worst, or a sheet."""
 
     row: Row
     ended: str
@@ -125,6 +144,14 @@ class WorstTrial:
     """That replays it; empty without a log."""
     link: str
     """To its last second; empty without a log."""
+    chart: Timeline | None
+    scores: tuple[str, ...]
+    """Each with its value."""
+
+    @property
+    def anchor(self) -> str:
+        """What a link within the page, or from a comment, calls it."""
+        return anchor(self.row.trial_id)
 
 
 class TrialLine(NamedTuple):
@@ -141,6 +168,30 @@ class TrialLine(NamedTuple):
     wall: str
     command: str
     link: str
+    anchor: str
+    """Of its sheet or card; empty if it has neither."""
+
+
+def anchor(trial: str) -> str:
+    """Return the name of a trial's sheet in a page's address: `report.html#trial-NAME`."""
+    return "trial-" + "".join(each if each in _PLAIN else f".{ord(each):x}." for each in trial)
+
+
+_PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-~=+")
+
+
+def _charts(rows: Sequence[Row], evidence: LogEvidence, rivals: Rivals) -> dict[str, Timeline]:
+    """Return the charts of trials whose paths are known, the first of `rows`, by trial."""
+    paths = {path.trial_id: path for path in evidence.paths}
+    known = [row for row in rows if row.trial_id in paths][:MOST_CHARTS]
+    charts = {
+        row.trial_id: timeline(row, paths[row.trial_id], rivals.get(row.trial_id)) for row in known
+    }
+    return {trial: chart for trial, chart in charts.items() if chart is not None}
+
+
+def _scores(row: Row) -> tuple[str, ...]:
+    return tuple(f"{name} {value:.4g}" for name, value in sorted(dict(row.scores).items()))
 
 
 def worst_cards(
@@ -149,7 +200,8 @@ def worst_cards(
     run: RunInfo,
     folder: Path,
     rivals: Rivals = NO_RIVALS,
-) -> tuple[WorstTrial, ...]:
+    charts: Mapping[str, Timeline] = NO_CHARTS,
+) -> tuple[OpenedTrial, ...]:
     """Return the trials that went worst, and the others of which there is a clip.
 
     Those with a clip come first, in the order of the clips, and then the worst does.
@@ -158,15 +210,44 @@ def worst_cards(
     named = [known[trial] for trial in clips if trial in known]
     named += [row for row in worst_trials(rows)[:WORST] if row.trial_id not in clips]
     return tuple(
-        WorstTrial(
-            row=row,
-            ended=how_ended(row),
-            parting=parting(row, rivals.get(row.trial_id)),
-            clip=clips.get(row.trial_id),
-            command=replay_command(row, folder),
-            link=view_link(row, run.id),
-        )
-        for row in named
+        _opened(row, clips.get(row.trial_id), run, folder, rivals, charts) for row in named
+    )
+
+
+def trial_sheets(
+    rows: Sequence[Row],
+    worst: Sequence[OpenedTrial],
+    run: RunInfo,
+    folder: Path,
+    rivals: Rivals = NO_RIVALS,
+    charts: Mapping[str, Timeline] = NO_CHARTS,
+) -> tuple[OpenedTrial, ...]:
+    """Return the trials that open in the page besides those with a card, in the order of `rows`."""
+    carded = {each.row.trial_id for each in worst}
+    return tuple(
+        _opened(row, None, run, folder, rivals, charts)
+        for row in rows
+        if row.trial_id in charts and row.trial_id not in carded
+    )
+
+
+def _opened(
+    row: Row,
+    clip: Clip | None,
+    run: RunInfo,
+    folder: Path,
+    rivals: Rivals,
+    charts: Mapping[str, Timeline],
+) -> OpenedTrial:
+    return OpenedTrial(
+        row=row,
+        ended=how_ended(row),
+        parting="" if row.completed else parting(row, rivals.get(row.trial_id)),
+        clip=clip,
+        command=replay_command(row, folder),
+        link=view_link(row, run.id),
+        chart=charts.get(row.trial_id),
+        scores=_scores(row),
     )
 
 
@@ -183,8 +264,17 @@ def listed_trials(rows: Sequence[Row]) -> Sequence[Row]:
     return sorted(rows, key=lambda row: (row.completed, row.success or 0.0))[:MOST_LINES]
 
 
-def trial_lines(rows: Sequence[Row], run: RunInfo, folder: Path) -> tuple[TrialLine, ...]:
-    """Return every trial, in the order of `rows`."""
+def trial_lines(
+    rows: Sequence[Row], run: RunInfo, folder: Path, opened: Collection[str] = ()
+) -> tuple[TrialLine, ...]:
+    """Return every trial, in the order of `rows`.
+
+    Args:
+        rows: of the trials.
+        run: their run.
+        folder: of the run, as a reader would type it.
+        opened: names of those that open in the page.
+    """
     return tuple(
         TrialLine(
             trial=row.trial_id,
@@ -197,6 +287,7 @@ def trial_lines(rows: Sequence[Row], run: RunInfo, folder: Path) -> tuple[TrialL
             wall=f"{row.wall_s:.1f}",
             command=replay_command(row, folder),
             link=view_link(row, run.id),
+            anchor=anchor(row.trial_id) if row.trial_id in opened else "",
         )
         for row in rows
     )

@@ -1,5 +1,5 @@
 "use strict";
-// Sorting, filtering and copying: all else, and every word, is there without this script.
+// Sorting, filtering, copying and the Escape key: all else, and every word, is there without this script.
 (() => {
   const NARROW = matchMedia("(max-width: 40rem)"); // As in the style sheet.
   const FIRST = NARROW.matches ? 25 : 200; // Rows of a long table that are shown at first.
@@ -49,7 +49,7 @@
 
   function copyable(root) {
     for (const code of root.querySelectorAll("code.copy:not([data-copies])")) {
-      const owner = code.closest("tr, li");
+      const owner = code.closest("tr, li, article");
       const name = owner ? owner.querySelector("th, h3").textContent : "";
       const button = document.createElement("button");
       button.type = "button";
@@ -164,8 +164,33 @@
     show();
   }
 
+  // A count of an outcome, or a scene's name, leads to its trials in the table.
+  function leads(link) {
+    link.addEventListener("click", () => {
+      const form = document.querySelector("form.filter");
+      for (const select of form.querySelectorAll("select")) select.value = link.dataset[select.name] ?? "";
+      form.words.value = "";
+      form.dispatchEvent(new Event("input"));
+    });
+  }
+
+  // What a link within the page leads to may lie in a part that is folded.
+  function unfold() {
+    const target = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    if (!target) return;
+    for (let part = target.closest("details"); part; part = part.parentElement.closest("details")) part.open = true;
+    if (target.matches(".worst li")) target.scrollIntoView({ block: "center" });
+    if (target.matches(".sheet")) target.focus({ preventScroll: true });
+  }
+
+  addEventListener("hashchange", unfold);
+  addEventListener("keydown", (event) => {
+    if (event.key === "Escape") document.querySelector(".sheet:target .close")?.click();
+  });
+  document.querySelectorAll("a[data-outcome], a[data-scene]").forEach(leads);
   document.querySelectorAll("table[data-compares]").forEach(comparable);
   document.querySelectorAll("table[data-sorts]").forEach(sortable);
   document.querySelectorAll("table[data-filtered]").forEach(filters);
-  document.querySelectorAll(".worst").forEach(copyable);
+  document.querySelectorAll(".worst, .sheet").forEach(copyable);
+  unfold();
 })();

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
     from nw_base.confinement import Rules
-    from nw_base.words import Kernels
+    from nw_base.words import Kernels, Record
     from nw_sim.rollout.job import TrialJob
 
 _LOG, _VIDEO = "trial.mcap", "trial.mp4"
@@ -117,6 +117,7 @@ def take_over_apart(
     allow_code: bool = False,
     out: Path | None = None,
     video: Path | None = None,
+    record: Record = "all",
 ) -> TakeoverReport:
     """As `take_over`, in a process of its own.
 
@@ -132,7 +133,8 @@ def take_over_apart(
     job = second_job(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
-    draws = out is not None or video is not None  # A log's own camera draws, too.
+    # A log's own camera draws, too.
+    draws = (out is not None and record != "none") or video is not None
     with scratch_folder() as folder:
         ready = _readied(job, path, library, draws=draws, folder=folder)
         answer = _called(
@@ -141,6 +143,7 @@ def take_over_apart(
             ready,
             **_asked(path, policy, checkpoint, allow_code=allow_code),
             start=start,
+            record=record,
             out=None if out is None else str(folder / _LOG),
             video=None if video is None else str(folder / _VIDEO),
         )

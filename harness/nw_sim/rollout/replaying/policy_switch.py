@@ -216,7 +216,7 @@ def new_switch(recorded: LoggedTrial, step: int) -> PolicySwitch:
             with one card.
     """
     earlier = switch_of(recorded)
-    if earlier is None:
+    if earlier is None or earlier.step == 0:  # Then the first policy never acted.
         text = recorded.log.attachments().get(CARD_FILE, b"").decode(errors="replace")
         return PolicySwitch(step=step, policy=driver(recorded.job), card=text)
     if step > earlier.step:

@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import Any
 
+    from nw_base.words import Record
     from nw_sim.physics import World
     from nw_sim.rollout.episode import Observer
     from nw_sim.rollout.job import TrialJob, TrialResult
@@ -195,6 +196,7 @@ def take_over(
     library: Library | None = None,
     out: Path | None = None,
     film: Film | None = None,
+    record: Record = "all",
 ) -> TakenOver:
     """Run a recorded trial in which another policy acts from a moment on.
 
@@ -209,6 +211,7 @@ def take_over(
         library: scenes and bundles that are loaded already.
         out: where the log of the new trial goes; None = nowhere.
         film: takes pictures of all of it; None for none.
+        record: whether that log keeps images: "all" or "none".
 
     Raises:
         StoreError: the log cannot be read, holds no card, or the trial does not go its recorded way
@@ -228,7 +231,7 @@ def take_over(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
     bundle = library.bundle_of(job)
-    job = replace(job, mcap=out, record="all", attachments=carried(recorded, bundle, switch))
+    job = replace(job, mcap=out, record=record, attachments=carried(recorded, bundle, switch))
     with open_trial(job, library, StageClock()) as trial:
         result = _driven(trial, recorded, switch, library, film)
         was, now = recorded.verdict, as_metadata(result)
@@ -250,7 +253,7 @@ def _driven(
     film: Film | None,
 ) -> TrialResult:
     """Lead a trial to where its policy takes over, let it, and record and film all of that."""
-    log = TrialLog(trial.job.mcap, record="all")
+    log = TrialLog(trial.job.mcap, record=trial.job.record)
     recorder = Recorder(trial, log, StageClock())
     observers: list[Observer] = [recorder]
     recorder.start()

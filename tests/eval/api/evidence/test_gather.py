@@ -20,6 +20,7 @@ from nw_eval.api import evidence as evidence_module
 from nw_eval.api.evidence import gather_evidence
 from nw_eval.api.evidence_log import ReadLogs, read_logs
 from nw_gate.results.run_folder import RunFolder
+from nw_sim.rollout.mcap.messages import Event
 from nw_sim.rollout.mcap.reader import LogReader
 
 
@@ -49,6 +50,11 @@ def test_a_walk_is_where_the_log_says_that_the_trunk_was(whole):
         walked = np.array([(p.x, p.y) for p in poses])
         np.testing.assert_allclose(found[trial][[0, -1]], walked[[0, -1]], atol=2e-3)
         np.testing.assert_allclose(found[trial][1:-1], walked[5:-1:5], atol=2e-3)
+
+
+def test_points_of_a_walk_are_a_tenth_of_a_second_apart(whole):
+    _, evidence = whole
+    assert {path.period for path in evidence.paths} == {0.1}
 
 
 def test_a_place_has_the_mean_waypoints_of_its_trials_inside_its_picture(whole):
@@ -236,6 +242,19 @@ def test_a_robot_that_was_flung_away_does_not_stretch_the_map(run):
     assert len(whole.walked) > 3
 
 
+def test_a_contact_is_shown_at_its_time(run):
+    def touching(data):
+        event = Event.FromString(data)
+        event.kind = "contact" if event.kind == "end" else event.kind
+        return event.SerializeToString()
+
+    log = min(logs(run).values())
+    end = max(t for _, t, _ in LogReader(log).messages("/nw/event")) * 1e-9
+    assert read(log).contacts == ()
+    rewritten(log, "/nw/event", touching)
+    assert read(log).contacts == (pytest.approx(end, abs=1e-3),)
+
+
 def test_pictures_that_are_damaged_cost_their_clip_and_not_the_walk(run):
     log = min(logs(run).values())
     whole = read(log)
@@ -287,5 +306,5 @@ def test_a_report_shows_what_is_left_and_judges_as_before(run, recorded):
     assert f"The log of {rows[0].trial_id} shows nothing: " in page
     # A place; the trial as the robot saw it and from outside, moving and standing.
     assert page.count("data:image/webp") == 5
-    assert 'alt="from outside"' in page
+    assert 'alt="candidate"' in page
     assert page.count(f"<title>{rows[1].trial_id}: ") == 2  # A walk and its end.

@@ -215,7 +215,7 @@ def test_scenes_and_worst_trials_are_drawn_in_their_colours_and_once(store, reco
     (place,) = first.places
     assert place.picture.is_coloured
     assert first.remarks == recorded.evidence.remarks
-    monkeypatch.setattr("nw_eval.api.evidence_drawn._drawn_apart", drawn_again)
+    monkeypatch.setattr("nw_eval.api.evidence_drawn.drawn_apart", drawn_again)
     again = drawn()
     assert [clip.outside for clip in again.clips] == [clip.outside for clip in first.clips]
     assert again.places[0].picture == place.picture
@@ -224,7 +224,7 @@ def test_scenes_and_worst_trials_are_drawn_in_their_colours_and_once(store, reco
 def test_of_a_run_of_another_scene_nothing_is_drawn(store, recorded, monkeypatch):
     """A name alone does not say which scene it was."""
     folder = RunFolder(path=recorded.folder)
-    monkeypatch.setattr("nw_eval.api.evidence_drawn._drawn_apart", None)
+    monkeypatch.setattr("nw_eval.api.evidence_drawn.drawn_apart", None)
     bare = replace(
         recorded.evidence,
         clips=tuple(replace(clip, outside=None) for clip in recorded.evidence.clips),

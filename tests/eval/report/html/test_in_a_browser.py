@@ -82,6 +82,41 @@ def test_a_browser_has_nothing_to_complain_of_and_asks_for_nothing(tab, page):
     assert tab.complaints == []
 
 
+def test_a_trial_opens_over_the_page_and_escape_closes_it(tab, page):
+    tab.show(page)
+    open_ = "[...document.querySelectorAll('.sheet')].filter((each) => each.offsetHeight > 0)"
+    line = "document.querySelector('#all tbody tr:nth-child(100) th')"
+    drawn = "new Promise((drawn) => setTimeout(drawn, 300))"
+    assert tab.run(f"{open_}.length") == 0
+    tab.run(f"{line}.querySelector('a').click()")
+    tab.run(drawn)
+    name = tab.run(f"{line}.textContent")
+    assert tab.run(f"{open_}.map((each) => each.querySelector('h3').textContent.trim())") == [name]
+    tab.run("dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape'}))")
+    tab.run(drawn)
+    assert tab.run(f"{open_}.length") == 0
+    # One of the worst has a card, which may be folded.
+    card = "document.querySelector('details.more-worst li')"
+    tab.run(f"void (location.hash = '#' + {card}.id)")
+    tab.run(drawn)
+    assert tab.run(f"{card}.offsetHeight") > 0
+    assert tab.complaints == []
+
+
+def test_the_count_of_an_outcome_filters_the_table(tab, page):
+    tab.show(page)
+    link = "document.querySelector('a[data-outcome=stuck]')"
+    tab.run(f"{link}.click()")
+    assert tab.run("document.querySelector('form.filter').outcome.value") == "stuck"
+    count = tab.run(f"{link}.textContent").removeprefix("stuck (").removesuffix(")")
+    found = tab.run("document.querySelector('.count').textContent")
+    assert found == f"{count} of 300 trials"
+    tab.run("document.querySelector('.heat a[data-scene]').click()")
+    assert tab.run("document.querySelector('form.filter').outcome.value") == ""
+    found = tab.run("document.querySelector('.count').textContent")
+    assert found == "150 of 300 trials"
+
+
 def test_a_stranger_s_script_would_not_run_even_in_the_page(tab, page):
     """Should escaping ever fail, the page's own policy is the second fence."""
     text = page.read_text(encoding="utf-8")

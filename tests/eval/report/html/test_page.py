@@ -12,6 +12,7 @@ import pytest
 
 from nw_eval.reporting.html.environment import _coded
 from nw_eval.reporting.html.evidence import Clip, Film, LogEvidence, PlaceView, WalkedPath
+from nw_eval.reporting.html.page import anchor
 from nw_eval.suite import Gate
 
 
@@ -182,11 +183,84 @@ def test_the_three_worst_trials_are_shown_before_others_from_outside_and_as_the_
     card = first.all("li")[0]
     assert "The baseline's policy passed waypoint 3 at 2.0 s and completed at 4.0 s." in card.text
     assert [each.attributes["alt"] for each in card.one("details").all("img")] == [
-        "from outside", CLIP.caption,
+        "candidate", CLIP.caption,
     ]  # fmt: skip
     assert [each.tag for each in page.one("main").all() if each.tag == "section"]
     assert page.one("main").all("section")[0].attributes["id"] == "worst"
     assert page.one("main").all("section")[-1].attributes["id"] == "trials"
+
+
+@pytest.mark.parametrize("is_of_policy", [True, False])
+def test_the_baseline_stands_beside_the_candidate(make_page, read, rows, is_of_policy):
+    """A camera that no policy sees through gives way to it."""
+    film = Film(data=b"outside", still=b"standing outside", width=256, height=144)
+    other = replace(film, data=b"baseline")
+    clip = replace(
+        CLIP, caption="The last 2.5 s: eyes.", span="The last 2.5 s.", is_of_policy=is_of_policy,
+        outside=film, baseline=other, baseline_caption="baseline shipped up to waypoint 3",
+    )  # fmt: skip
+    page = read(make_page(rows, LogEvidence(clips=(clip,))))
+    (card,) = [each for each in page.one("section", id="worst").all("li") if each.all("img")]
+    moving = card.one("details").all("img")
+    more = ["The last 2.5 s: eyes."] if is_of_policy else []
+    assert [each.attributes["alt"] for each in moving] == ["candidate", "baseline", *more]
+    assert moving[1].attributes["src"] == "data:image/webp;base64,YmFzZWxpbmU="
+    said = card.one("p", class_="caption").text
+    shown = "The last 2.5 s: eyes." if is_of_policy else "The last 2.5 s."
+    assert said == f"{shown} Beside it: baseline shipped up to waypoint 3."
+
+
+def test_a_trial_opens_in_the_page_itself(make_page, read, rows):
+    """By a link alone: no script, no server."""
+    evidence = LogEvidence(
+        paths=tuple(walked(row.trial_id) for row in rows),
+        places=(PlaceView(scene="hurdles/high", waypoints=np.array([[1.0, 0.0]])),),
+    )
+    page = read(make_page(rows, evidence))
+    ids = {each.attributes["id"]: each for each in page.all() if "id" in each.attributes}
+    lines = page.one("table", id="all").all("tr")[1:]
+    assert len(lines) == len(rows) == 20
+    carded = {each.attributes["id"] for each in page.one("section", id="worst").all("li")}
+    by_name = {row.trial_id: row for row in rows}
+    for line in lines:
+        (link,) = line.one("th").all("a")
+        row = by_name[link.text]
+        assert link.attributes["href"] == f"#trial-{row.trial_id}"
+        opened = ids[link.attributes["href"][1:]]
+        assert opened.tag == ("li" if opened.attributes["id"] in carded else "article")
+        assert f"{row.waypoints_reached} of 4 waypoints" in opened.text
+        chart = opened.one("figure", class_="timeline").one("svg", role="img")
+        assert chart.attributes["aria-label"].endswith(f"{row.outcome} at {row.sim_s:.1f} s.")
+        if opened.tag == "article":
+            back = opened.one("a", class_="close").attributes["href"]
+            assert ids[back[1:]] is line
+            (walk,) = opened.all("svg", class_="walk")
+            assert {each.attributes["href"][1:] for each in walk.all("use")} <= set(ids)
+    assert carded
+    assert len(carded) < 20
+
+
+def test_a_trial_without_a_log_is_a_line_alone(make_page, read, rows):
+    page = read(make_page(rows, LogEvidence(paths=(walked(rows[-1].trial_id),))))
+    assert [each.one("h3").text for each in page.all("article")] == [rows[-1].trial_id]
+    completed = [row.trial_id for row in rows if row.completed]
+    lines = page.one("table", id="all").all("tr")[1:]
+    linked = {line.one("th").text for line in lines if line.one("th").all("a")}
+    assert linked & set(completed) == {rows[-1].trial_id}
+
+
+def test_the_address_of_a_trial_is_plain_and_its_own_whatever_its_name():
+    names = ["a b", "a/b", "a_b", "\u00fc", 'a"b', "a.b"]
+    found = [anchor(name) for name in names]
+    assert len(set(found)) == len(names)
+    assert all(re.fullmatch(r"trial-[A-Za-z0-9_.~=+-]+", each) for each in found)
+
+
+def test_the_count_of_an_outcome_leads_to_its_trials(make_page, read, rows):
+    page = read(make_page(rows))
+    links = page.one("section", id="outcomes").one("ul", class_="legend").all("a")
+    assert [each.attributes["data-outcome"] for each in links] == ["completed", "fell"]
+    assert {each.attributes["href"] for each in links} == {"#trials"}
 
 
 def test_scenes_have_their_picture_from_above_in_colours_once(make_page, read, rows, full_evidence):
