@@ -64,7 +64,7 @@ def entrant_of_run(source: str, run: RunInfo, rows: Iterable[Row]) -> Entrant:
     return Entrant(
         source=source,
         suite=str(run.suite.get("name", "")),
-        policy=run.policy.name,
+        policy=run.policy.folder_name,
         key=key_of(run),
         results=_named(row for row in rows if row.status == "ok"),
         scores=run.scores,

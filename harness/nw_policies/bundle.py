@@ -176,7 +176,17 @@ class Bundle:
         if not operator:
             return self
         card = self.card.model_copy(update={"runtime": "native"})
-        return replace(self, card=card, operator=operator)
+        return self.with_changes(card=card, operator=operator)
+
+    def with_changes(self, **changes: Any) -> Bundle:
+        """Return the bundle with other fields, and with what it knows of its card's robot.
+
+        `dataclasses.replace` forgets `joints`, which a process that may not read the robot needs.
+        """
+        changed = replace(self, **changes)
+        if "joints" in self.__dict__ and changed.card.robot == self.card.robot:
+            changed.__dict__["joints"] = self.joints
+        return changed
 
     @property
     def origin(self) -> str:

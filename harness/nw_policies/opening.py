@@ -18,7 +18,6 @@ from __future__ import annotations
 import importlib
 from collections.abc import Generator
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any, Literal, assert_never, cast
@@ -88,7 +87,7 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
             if files is None and line is not None:
                 files = files_over(line, bundle)
                 keep_files(bundle, files)
-            return _open_here(replace(bundle, programs=files or {}), allow_code=allow_code)
+            return _open_here(bundle.with_changes(programs=files or {}), allow_code=allow_code)
         except PolicyError as error:
             if not leaves(bundle, error):
                 raise
@@ -96,7 +95,7 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
         return _open_native(left, line, allow_code=allow_code)
 
     def start() -> OpenPolicy:
-        native = replace(bundle, card=card.model_copy(update={"runtime": "native"}))
+        native = bundle.with_changes(card=card.model_copy(update={"runtime": "native"}))
         policy = _open_native(native, line, allow_code=allow_code)
         return policy if isinstance(policy, ApartPolicy) else cast("OpenPolicy", InProcess(policy))
 

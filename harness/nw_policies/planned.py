@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -304,7 +303,7 @@ class PlannedPolicy:
         self._policy: Policy | None = self._built(known) if known else None
 
     def _built(self, files: Mapping[str, PlannedFile]) -> Policy:
-        return self._build(replace(self._bundle, programs=files))
+        return self._build(self._bundle.with_changes(programs=files))
 
     @property
     def inputs(self) -> tuple[InputSpec, ...]:

@@ -1,3 +1,4 @@
+import dataclasses
 import hashlib
 import io
 import os
@@ -61,6 +62,31 @@ def test_a_size_that_the_file_does_not_declare_is_still_said_in_the_cards_terms(
 class Doubling(torch.nn.Module):
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return 2.0 * x
+
+
+@pytest.mark.parametrize("runtime", ["nw-eval", "native"])
+def test_a_policy_s_process_need_not_read_the_files_of_its_robot(tmp_path, runtime):
+    """It may not: of a robot in a folder the trial's process alone reads them."""
+    more = "runtime: native\n" if runtime == "native" else ""
+    bundle = bundle_of(tmp_path, scripted(Doubling()), more)
+    assert bundle.joints == 12
+    card = bundle.card.model_copy(update={"robot": "in-a-folder"})
+    elsewhere = dataclasses.replace(bundle, card=card)
+    elsewhere.__dict__["joints"] = bundle.joints  # As a pickle brings them.
+    with PolicyProcess(policy_rules(bundle)) as process, line_to(process.line):
+        policy = open_policy(elsewhere)
+        policy.reset(0)
+        answer = policy.act({"body": np.ones(12, np.float32)})
+        policy.close()
+    np.testing.assert_array_equal(answer, np.full(12, 2.0))
+
+
+def test_another_robot_s_joints_are_not_those_of_the_card_before():
+    bundle = load_bundle("go1-parkour")
+    assert bundle.joints == 12
+    assert bundle.by_its_own_runtime("Foo").__dict__["joints"] == 12
+    card = bundle.card.model_copy(update={"robot": "other"})
+    assert "joints" not in bundle.with_changes(card=card).__dict__
 
 
 class Executes:

@@ -358,7 +358,6 @@ def _sections(
     """Return runs that compare with one another, each in a section; some may be left out."""
     from nw_eval.api.reports import fault_of
     from nw_eval.reporting.html.board import BoardRun, BoardSection
-    from nw_eval.reporting.tables.policy_name import policy_digest, policy_name
     from nw_gate.side_by_side import entrant_of_run
 
     groups: list[_Group] = []
@@ -366,8 +365,8 @@ def _sections(
     for run in judged:
         try:
             entrant = replace(
-                entrant_of_run(policy_digest(run.info.policy), run.info, run.rows),
-                policy=policy_name(run.info.policy),
+                entrant_of_run(run.info.policy.short_digest, run.info, run.rows),
+                policy=run.info.policy.folder_name,
             )
         except Exception as error:  # noqa: BLE001 - As for reading it.
             left_out.append(f"{clean(run.folder.name)}: {fault_of(error)}")

@@ -255,7 +255,7 @@ def _provenance(run: RunInfo) -> dict[str, str]:
     return {
         "run": run.id,
         "nw_eval": run.code.version,
-        "policy": run.policy.name,
+        "policy": run.policy.folder_name,
         "checkpoint": run.policy.checkpoint_digest,
         "panel_digest": run.suite_digest,
         "rows_digest": run.rows_digest,

@@ -79,7 +79,7 @@ def render_page(
 
 def _whose(run: RunInfo, verdict: Verdict) -> str:
     part = "" if run.shard is None else f", {run.shard}"
-    return f"{verdict.verdict}: {run.suite.get('name', 'suite')}, {run.policy.name}{part}"
+    return f"{verdict.verdict}: {run.suite.get('name', 'suite')}, {run.policy.folder_name}{part}"
 
 
 def write_cause(cause: Cause, run: str, path: Path) -> None:

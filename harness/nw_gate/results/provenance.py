@@ -13,13 +13,14 @@ from functools import cache
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from math import ceil
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePath, PurePosixPath
 from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from nw_base import __version__
 from nw_base.clean import clean
+from nw_base.digest import digest_of
 from nw_base.errors import StoreError
 from nw_base.files.cache import atomic_path
 from nw_base.files.inside import bounded_bytes
@@ -101,6 +102,19 @@ class PolicyInfo(_Saved):
     origin: str = ""  # What the digest is of where there are no weights: server, code.
     depends_on: str = ""  # What makes its results depend on the processor; empty: nothing does.
     fetched: FetchedInfo | None = None  # None: it lay on the machine.
+
+    @property
+    def folder_name(self) -> str:
+        """What pages call it: its folder's name; the card's for a fetched one or an object."""
+        card = PurePath(self.card)
+        if self.fetched is not None or not card.parent.name:
+            return self.name
+        return card.parent.name if card.name == "policy.yaml" else card.stem
+
+    @property
+    def short_digest(self) -> str:
+        """Eight hex digits that tell cards and checkpoints of one name apart."""
+        return digest_of([self.card_digest, self.checkpoint_digest])[:8]
 
     @property
     def dependence(self) -> str:

@@ -15,7 +15,6 @@ from nw_eval.reporting.headline import part_of_suite, stopped_early
 from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.html.runs import ListedRun, level_of
 from nw_eval.reporting.side_by_side import ranks_text
-from nw_eval.reporting.tables.policy_name import policy_digest, policy_name
 from nw_eval.reporting.tables.table import Bar
 from nw_gate.results.provenance import RunInfo
 from nw_gate.side_by_side import PolicyComparison
@@ -65,7 +64,7 @@ class BoardRun:
     @property
     def identity(self) -> tuple[str, str]:
         """The policy: its name, and the digest of its card and checkpoint."""
-        return policy_name(self.info.policy), policy_digest(self.info.policy)
+        return self.info.policy.folder_name, self.info.policy.short_digest
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -86,6 +86,8 @@ def render_html(
         "report.html.j2",
         run=run,
         suite=str(run.suite.get("name", "suite")),
+        policy=run.policy.folder_name,
+        digest=run.policy.short_digest,
         word=word,
         by=flagged_by(verdict),
         parts=parts,

@@ -18,7 +18,6 @@ from urllib.parse import urlsplit
 from nw_base.plural import plural
 from nw_eval.reporting.headline import headline_parts, part_of_suite
 from nw_eval.reporting.html.environment import render
-from nw_eval.reporting.tables.policy_name import policy_digest, policy_name
 from nw_eval.reporting.tables.table import Bar
 from nw_gate.results.labels import links_of
 from nw_gate.results.provenance import RunInfo
@@ -76,13 +75,13 @@ class ListedRun:
     def policy(self) -> str:
         """The policy's name, and of which training it is, where a label says so."""
         training = self.info.labels.get("training_run", "")
-        name = policy_name(self.info.policy)
+        name = self.info.policy.folder_name
         return f"{name} ({training})" if training and training != name else name
 
     @property
     def digest(self) -> str:
         """Of the policy's card and checkpoint."""
-        return policy_digest(self.info.policy)
+        return self.info.policy.short_digest
 
     @property
     def step(self) -> int | None:
@@ -109,7 +108,7 @@ class ListedRun:
     @property
     def name(self) -> str:
         """Its folder's name, if somebody gave it one of its own; else when it started."""
-        says_more = self.info.id != policy_name(self.info.policy) and not _GIVEN.fullmatch(
+        says_more = self.info.id != self.info.policy.folder_name and not _GIVEN.fullmatch(
             self.info.id
         )
         return self.info.id if says_more else self.date

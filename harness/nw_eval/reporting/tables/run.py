@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from nw_base.digest import digest_of
 from nw_base.plural import plural
-from nw_eval.reporting.tables.policy_name import policy_digest, policy_name
 from nw_eval.reporting.tables.table import Table
 from nw_gate.results.labels import KNOWN
 from nw_gate.results.provenance import RunInfo
@@ -36,8 +35,15 @@ def throughput_table(rows: Sequence[Row], run: RunInfo) -> Table:
         numbers=frozenset({"seconds", "ms per control step", "share"}),
         note=f"{rate:.1f} trials per minute on {plural(run.workers, 'worker')}; "
         f"{spent.sim_s:.0f} s simulated, {spent.real_time_factor:.1f} times real time per worker."
-        f" {taken_over(run, rows)}".rstrip(),
+        f" {taken_over(run, rows)}".rstrip()
+        + (_OF_RENDER if spent.renders else ""),
     )
+
+
+_OF_RENDER = (
+    " render draws the policy's camera images, or, for a policy without cameras, those that logs "
+    "of failed trials keep (`--record none` saves them)."
+)
 
 
 _STAGES = ("setup", "sense", "render", "policy", "physics", "log")
@@ -65,6 +71,11 @@ class Throughput:
     stages: tuple[StageTime, ...]
     sim_s: float
     real_time_factor: float  # Simulated over wall time, of one worker.
+
+    @property
+    def renders(self) -> bool:
+        """Whether any time went into images."""
+        return any(stage.name == "render" and stage.seconds > 0.0 for stage in self.stages)
 
 
 def throughput(rows: Sequence[Row], info: RunInfo) -> Throughput:
@@ -124,8 +135,8 @@ def provenance_table(run: RunInfo) -> Table:
         "suite": f"{run.suite_file}, {digest_of(run.suite)[:12]}",
         "seed set": f"{run.suite_digest[:12]} (same robot, protocol, seed, episode and "
         f"perturbations: same starts), {run.panel}",
-        "policy": f"{policy_name(run.policy)}, {run.policy.origin or weights}",
-        "card and checkpoint": policy_digest(run.policy),
+        "policy": f"{run.policy.folder_name}, {run.policy.origin or weights}",
+        "card and checkpoint": run.policy.short_digest,
         "processor": run.policy.dependence,
         "scenes": f"{_scenes(run)}, {plural(sum(run.planned.values()), 'trial')} planned"
         + _saved(run),
