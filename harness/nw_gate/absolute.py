@@ -111,7 +111,7 @@ def judge(
         reasons=(
             *reasons,
             *in_a_sentence(rows, left, gate),
-            *_weak_scenes(scores, gate),
+            *_weak_scenes(scores),
         ),
         per_scene=scores,
         left=left,
@@ -302,7 +302,12 @@ def _holes(
 def _compare(
     bounds: Interval, scores: Sequence[SceneScore], gate: Gate, against: Comparison | None
 ) -> tuple[Word, list[str]]:
-    """Return what the bounds of mean success say, and one reason."""
+    """Return what the bounds of mean success say, and one reason.
+
+    Beside a comparison with a baseline the reason has no bounds: a page makes one statement of
+    confidence, which is the comparison's, and its table has the others. What flags keeps its own.
+    """
+    compared = against is not None and against.again is None and against.drop is not None
     confidence = f"{100 * gate.confidence:.4g} % confidence"
     bar = gate.success_rate
     if bar is None:
@@ -311,11 +316,15 @@ def _compare(
         is_taken = against is not None and against.again is not None and against.again.taken_over
         did = "are the baseline's" if is_taken else "ran"
         return "RAN", [f"{total} {did} and {judged}: the suite sets no gate.success_rate"]
+    if compared and bounds.low >= bar:
+        return "PASS", [f"success meets the bar {bar:g}"]
     if bounds.low >= bar:
         return "PASS", [f"success is at least {bounds.low:.3f} ({confidence}), the bar is {bar:g}"]
     if bounds.high < bar:
         most = f"{100 * (1.0 - (1.0 - gate.confidence) / gate.shared):.4g} % confidence"
         return "REGRESSED", [f"success is at most {bounds.high:.3f} ({most}), the bar is {bar:g}"]
+    if compared:
+        return "INCONCLUSIVE", [f"the trials do not decide the bar {bar:g}"]
     return "INCONCLUSIVE", [_open(bar, bounds, confidence)]
 
 
@@ -361,15 +370,13 @@ def _alone(scene: str, most: float, gate: Gate) -> str:
     )
 
 
-def _weak_scenes(scores: Sequence[SceneScore], gate: Gate) -> list[str]:
+def _weak_scenes(scores: Sequence[SceneScore]) -> list[str]:
     """Return a reason that names the scenes whose whole interval lies below the bar, if any do."""
     weak = [item for item in scores if item.weak]
     if not weak:
         return []
-    percent = f"{100 * gate.confidence:.4g} %"
     scenes = [
-        f"{item.scene} {item.mean:.3f} ({percent} {item.interval.low:.2f} to "
-        f"{item.interval.high:.2f}), completed {item.completed} of {item.n}"
+        f"{item.scene} completed {item.completed} of {item.n}, success {item.mean:.3f}"
         for item in sorted(weak, key=lambda item: (item.interval.high, item.scene))
     ]
     which = "itself" if len(weak) == 1 else "themselves"

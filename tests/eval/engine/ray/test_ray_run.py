@@ -78,7 +78,7 @@ episode: {duration: 4.0}
 scenes: [hurdles/one_low_carpet, hurdles/two_logs_park]
 record: none
 gate:
-  {success_rate: 0.05, max_drop: 0.5, tolerate: 0.1, rounds: 4, least_starts: 1, confidence: 0.6}
+  {success_rate: 0.05, max_drop: 0.5, tolerate: 0.1, rounds: 4, least_starts: 1, confidence: 0.8}
 """
 
 
@@ -174,21 +174,29 @@ def test_a_raylet_that_is_killed_costs_its_trials_one_retry(cluster, nw_eval, un
 
 
 @pytest.mark.nightly
-def test_a_node_with_another_processor_is_refused_by_name(cluster, nw_eval, tiny, tmp_path):
+@pytest.mark.parametrize("runtime", ["nw-eval", "native"])
+def test_a_node_with_another_processor_is_refused_where_results_depend_on_it(
+    cluster, nw_eval, tiny, tmp_path, runtime
+):
+    """What nw-eval runs itself gives the same results on both."""
+    shutil.copytree(POLICY.with_name("go1-parkour"), tmp_path / "mine")
+    card = tmp_path / "mine" / "policy.yaml"
+    card.write_text(card.read_text() + f"\nruntime: {runtime}\n")
     cluster.start()
     cluster.start(env={"NUMBA_CPU_NAME": "generic"})
 
     code, printed = ended(
         nw_eval(
-            *("run", tiny, "--trials", "8", "--out", tmp_path / "run"),
-            *("--engine", "ray", "--address", cluster.address),
+            *("run", tiny, "--policy", tmp_path / "mine", "--trials", "8"),
+            *("--out", tmp_path / "run", "--engine", "ray", "--address", cluster.address),
             env=cluster.env,
         )
     )
 
     assert code == 0, printed
-    (line,) = [line for line in printed.splitlines() if "is refused" in line]
-    assert "cpu generic" in line
+    refused = [line for line in printed.splitlines() if "is refused" in line]
+    assert len(refused) == (runtime == "native"), printed
+    assert all("cpu generic" in line for line in refused)
 
 
 @pytest.mark.nightly
