@@ -167,6 +167,55 @@ def test_a_checkpoint_becomes_a_required_check(training: Path) -> None:
     assert (training / "gate.xml").exists()
 
 
+COMMAND_FIRST = (
+    r"sed -i '/{term: command, scale/d; s/^\( *\)- {term: ang_vel, scale: 0.25}/"
+    r"\1- {term: command, scale: [2.0, 2.0, 0.25]}\n&/' policies/walk/policy.yaml"
+)
+"""What `policies check` says of legubiao's policy, as an edit."""
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("robot", "policy", "more", "scenes"),
+    [
+        ("go2", "legubiao-go2", COMMAND_FIRST, "[flat/carpet_room, ramps/one_ramp_plaza]"),
+        ("g1", "g1-unitree-rl-gym", "", "[flat/carpet_room]"),
+    ],
+)
+def test_other_public_checkpoints_become_a_required_check(
+    tmp_path: Path, robot: str, policy: str, more: str, scenes: str
+) -> None:
+    """The same page, by readers with another robot, who type what it tells them to."""
+    published = ASSETS / "policies" / policy / "policy.pt"
+    if not published.exists():
+        pytest.skip("needs the published policy")
+    (tmp_path / TRAINING / "exported").mkdir(parents=True)
+    (tmp_path / TRAINING / "params").mkdir()
+    shutil.copy(published, tmp_path / TRAINING / "exported" / "policy.pt")
+    made = f"nw-eval policies init policies/walk --robot {robot}\n{more}\n"
+    if robot == "g1":
+        model = ASSETS / "robots" / "g1" / "g1_12dof.xml"
+        made = f"nw-eval robots init {model} --out robots/g1\n{made}"
+    changes = {
+        "exported/policy.onnx": "exported/policy.pt",
+        "nw-eval policies init policies/walk --robot go1\n": made,
+        "robot: go1 ": f"robot: {robot} ",
+        "[flat/carpet_room, ramps/one_ramp_plaza, ramps/two_ramps_park]": scenes,
+        "trials: 10 ": "trials: 20 ",
+        "git add .gitignore": f"git add {'robots' if robot == 'g1' else ''} .gitignore",
+    }
+    followed = follow("checkpoint-to-check.md", tmp_path, changes)
+    said = followed.stdout + followed.stderr
+    assert followed.returncode == 0, said
+    assert "no fault found" in followed.stdout
+    verdicts = [line.split(" ")[0] for line in followed.stdout.splitlines() if " · " in line]
+    assert [each for each in verdicts if each in {"PASS", "REGRESSED"}] == [
+        "PASS", "REGRESSED", "PASS",
+    ], said  # fmt: skip
+    assert "exit code 1\n" in followed.stdout
+    assert "same policy as baseline shipped" in followed.stdout
+
+
 @pytest.mark.nightly
 def test_your_own_robot_walks(tmp_path: Path) -> None:
     page = "your-own-robot.md"

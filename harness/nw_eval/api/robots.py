@@ -96,8 +96,8 @@ def init_robot(model: Path, *, out: Path | None = None) -> RobotDraft:
 
     Args:
         model: MJCF (.xml) or URDF (.urdf).
-        out: a new folder for copies of model and meshes and for robot.yaml; parent folders are
-            created.
+        out: a new folder for copies of model and meshes and for robot.yaml, which gives the robot
+            its name; parent folders are created.
 
     Raises:
         RobotError: the model is no robot that can be driven.
@@ -118,7 +118,8 @@ def init_robot(model: Path, *, out: Path | None = None) -> RobotDraft:
     beside = model.parent / ROBOT_FILE
     if out is None and what_is(beside) != "nothing":
         raise UsageError(f"{beside} exists already", fix="move it away, or give --out FOLDER")
-    draft, root = draft_robot(model)
+    # A project's robot is named by its folder, and a card by the robot's name: they are one.
+    draft, root = draft_robot(model, name="" if out is None else out.name)
     file = (root if out is None else out) / ROBOT_FILE
     if out is None and what_is(file) != "nothing":
         raise UsageError(f"{file} exists already", fix="move it away, or give --out FOLDER")

@@ -49,13 +49,14 @@ class DraftedRobot:
     stands: bool
 
 
-def draft_robot(model: Path) -> tuple[DraftedRobot, Path]:
+def draft_robot(model: Path, *, name: str = "") -> tuple[DraftedRobot, Path]:
     """Return a first robot.yaml for a model file, and the folder that it is for.
 
     That is the model's own, or one above it that holds its meshes as well.
 
     Args:
         model: MJCF or URDF.
+        name: of the robot; empty = the file's, or the folder's.
 
     Raises:
         UsageError: there is no such file.
@@ -71,6 +72,7 @@ def draft_robot(model: Path) -> tuple[DraftedRobot, Path]:
             folder=root,
             root=str(root),
             file=model.resolve().relative_to(root).as_posix(),
+            name=name,
         )
         try:
             if "refused" in answer:  # A mesh that is not in this folder may be in the one above.
@@ -78,8 +80,8 @@ def draft_robot(model: Path) -> tuple[DraftedRobot, Path]:
                 refused.setdefault(read, lines)
                 continue
             drafted = TypeAdapter(DraftedRobot).validate_python(answer)
-            for name in drafted.files:
-                inside(root, name)
+            for each in drafted.files:
+                inside(root, each)
         except (ValidationError, OutsideError, TypeError):
             raise RobotError(f"{model}: the draft cannot be read") from None
         return drafted, root
@@ -96,11 +98,11 @@ def _roots(model: Path) -> list[Path]:
     return home or above[:1]
 
 
-def _draft(*, root: str, file: str) -> dict[str, Any]:
+def _draft(*, root: str, file: str, name: str = "") -> dict[str, Any]:
     """Return a draft; or how many files were read, and what was not found after them."""
     seen: dict[str, str] = {}
     try:
-        return asdict(_Draft(Path(root), file, seen).drafted())
+        return asdict(_Draft(Path(root), file, seen, name).drafted())
     except RobotError as error:
         if not any(words in str(error) for words in _ELSEWHERE):
             raise
@@ -110,10 +112,10 @@ def _draft(*, root: str, file: str) -> dict[str, Any]:
 class _Draft:
     """Makes the lines of a robot.yaml."""
 
-    def __init__(self, root: Path, file: str, seen: dict[str, str]) -> None:
+    def __init__(self, root: Path, file: str, seen: dict[str, str], name: str) -> None:
         self.root, self.file, self.seen = root, file, seen
         stem = slug(Path(file).stem)
-        own = slug(root.name) if stem in _NAMELESS or not stem else stem
+        own = slug(name) or (slug(root.name) if stem in _NAMELESS or not stem else stem)
         self.named_anew = own in BUILT_IN
         self.name = f"my-{own}" if self.named_anew else own or "robot"
         self.folder = self._read("motors: [{joints: '*'}]")

@@ -376,13 +376,13 @@ def test_a_checkpoint_is_drafted_for_the_folder_of_a_robot(tmp_path):
     (tmp_path / "policy").mkdir()
     checkpoint = shutil.copy(policy / "policy.pt", tmp_path / "policy")
     draft = api.init_policy(Path(checkpoint), robot=f"{tmp_path / 'g1'}/")
-    assert "robot: g1_12dof" in draft.text
+    assert "robot: g1\n" in draft.text
     assert "joints: [left_hip_pitch, left_hip_roll" in draft.text
     assert "FL_hip" not in draft.text
     assert "left_knee: 140" in draft.text  # Its own gain, not that of a published layout.
     page = api.show_policy(str(tmp_path / "policy"), robot=f"{tmp_path / 'g1'}/")
     assert page.joints[3].kp == 140
-    with pytest.raises(RobotError, match=r"is the robot 'go1', and .* is a card of 'g1_12dof'"):
+    with pytest.raises(RobotError, match=r"is the robot 'go1', and .* is a card of 'g1'"):
         api.check_policy(str(tmp_path / "policy"), robot="go1")
 
 
