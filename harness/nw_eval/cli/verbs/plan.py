@@ -257,7 +257,7 @@ def _trials(planned: TrialPlan, trials: int) -> str:
 
 
 def _curve(planned: TrialPlan) -> list[str]:
-    rows = [("drop", "REGRESSED", "PASS", "undecided", "trials", "minutes")]
+    rows = [("drop", "REGRESSED", "PASS", "undecided", "trials", "about min")]
     for point in planned.curve:
         shares = (f"{100 * x:.0f} %" for x in (point.regressed, point.passed, point.undecided))
         regressed, passed, undecided = shares
@@ -271,7 +271,7 @@ def _curve(planned: TrialPlan) -> list[str]:
 def shard_page(planned: ShardPlan) -> str:
     """Return the parts as lines of text: what to type for each, and about what it takes."""
     count = len(planned.parts)
-    rows = [("shard", "trials", "minutes")]
+    rows = [("shard", "trials", "about min")]
     rows += [
         (f"--shard {index}/{count}", str(part.trials), f"{part.minutes:.1f}")
         for index, part in enumerate(planned.parts, start=1)
