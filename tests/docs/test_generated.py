@@ -267,14 +267,15 @@ def test_a_page_of_the_reference_is_small(site: dict[str, str]) -> None:
 def test_a_page_leads_to_the_repository_only_where_its_address_is_known(
     site: dict[str, str], tmp_path: Path
 ) -> None:
-    assert not [name for name, text in site.items() if "Edit this page" in text]
+    assert not [name for name, text in site.items() if 'title="Edit this page"' in text]
     assert not [name for name, text in site.items() if 'class="md-source"' in text]
     assert 'changelog.html">0.2.0</a>'.replace("0.2.0", nw_eval.__version__) in site["index.html"]
     known = built(tmp_path, REPOSITORY)
-    assert f'href="{REPOSITORY}/edit/main/docs/index.md"' in known["index.html"]
+    edit = f'<a href="{REPOSITORY}/edit/main/docs/index.md" title="Edit this page"'
+    assert edit in known["index.html"]
     assert f'href="{REPOSITORY}/edit/main/CHANGELOG.md"' in known["changelog.html"]
     assert f'href="{REPOSITORY}"' in known["how-to/ci.html"]
-    assert "Edit this page" not in known["reference/python/runs.html"]
+    assert 'title="Edit this page"' not in known["reference/python/runs.html"]
     assert f"{REPOSITORY}/releases/expanded_assets" in known["index.html"]
     assert not [name for name, text in known.items() if "OWNER/nw-eval" in text]
     # The theme asks GitHub for stars where it finds this.

@@ -77,10 +77,10 @@ def _facts(run: RunReport | None) -> dict[str, Any]:
         "verdict": run.verdict.verdict,
         "success": run.verdict.success,
         "drop": against.drop,
-        "bounds": against.interval,
+        "bounds": None if against.interval is None else list(against.interval),
         "trials": len(run.rows),
         "regressed_in": _regressed(run),
-        "run": run.folder,
+        "run": run.typed_folder,
     }
 
 
