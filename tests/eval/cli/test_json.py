@@ -149,6 +149,7 @@ def test_a_watch_prints_a_line_for_each_checkpoint_as_soon_as_it_is_judged(
             table=folder / "watch.parquet",
         )
 
+    assert "watch" in dict(forms()), "its options are made of the function that is replaced"
     monkeypatch.setattr("nw_eval.api.watch", watched)
     assert ends("watch", tmp_path, "--suite", "smoke", "--json") == 0
     assert capsys.readouterr().out == ""
