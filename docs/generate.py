@@ -11,9 +11,11 @@ from __future__ import annotations
 import inspect
 import json
 import re
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -21,15 +23,20 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
+EXAMPLE = ROOT / "build" / "example"
+"""Where `make docs` puts pages of real runs."""
 
+_UP = "{up}"
+"""The way from a page to the site's folder."""
 _PART = re.compile(r"^<!-- generated: ([\w -]+) -->$", re.MULTILINE)
 _NAMED_FENCE = re.compile(r"^( *)```([\w-]+) ([^\s{}=]+)$", re.MULTILINE)
 _FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"\[((?:[^\[\]]|\[[^\]]*\])*)\]\((?!https?://)([^)\s#]+)(#[^)\s]*)?\)")
 _DEFAULT = re.compile(r" \(default: ([^()]*)\)(?=\.)")
 _SEARCH = 'data-md-component="search" role="dialog" aria-label="Search"'
-_UNSEARCHED = frozenset({"changelog.md", "reference/api-values.md"})
-"""Pages that the search leaves out: every page loads its index, and they are a third of it."""
+_UNSEARCHED = re.compile(r"changelog\.md|reference/python/\w+\.md")
+"""Pages that the search leaves out, since they are a third of its index; reference/api.md has the
+names of all functions."""
 
 
 def parts() -> Mapping[str, Callable[[], str]]:
@@ -46,9 +53,9 @@ def parts() -> Mapping[str, Callable[[], str]]:
         "scores": scores,
         "operators": network_operators,
         "system calls": system_calls,
-        "functions": lambda: api_of(functions=True),
-        "values": lambda: api_of(functions=False),
+        **{f"python {topic}": partial(api_of, topic) for topic in TOPICS},
         "changelog": changelog,
+        **{f"example {name}": partial(example, name) for name in EXAMPLES},
     }
 
 
@@ -339,21 +346,99 @@ def changelog() -> str:
 # Python.
 
 
-def api_of(*, functions: bool) -> str:
-    """Return what tells mkdocstrings to show the public functions, or all other public names.
+TOPICS: Mapping[str, str] = MappingProxyType(
+    {
+        "runs": """api engine gate.results.request gate.results.row""",
+        "judging": """gate api.baselines api.baselines_saved api.baselines_verified api.comparisons
+            api.ledgers api.series api.sweeping api.verifying api.watching""",
+        "logs": """viewing sim.rollout api.attribution api.cause api.replays api.site
+            api.surfaces""",
+        "policies": """policies sim.probe api.policies api.robots""",
+        "scenes": """scenes sim splat api.hub api.scenes api.sensors api.splats""",
+        "extending": """base sim.tasks sim.axes gate.scores splat.files.format splat.gaussians
+            api.surfaces.Reporter""",
+    }
+)
+"""Pages of the Python API, and where their names are at home; the longest beginning decides.
+
+`api`, `engine` and `viewing` are parts of `nw_eval`, the others are packages.
+"""
+
+
+def topic_of(home: str) -> str:
+    """Return the page that shows a name.
+
+    Args:
+        home: module and name, such as `nw_eval.api.runs.run`.
+
+    Raises:
+        LookupError: no page is about the package.
+    """
+    place = home.removeprefix("nw_").removeprefix("eval.")
+    starts = {start: topic for topic, text in TOPICS.items() for start in text.split()}
+    known = [start for start in starts if f"{place}.".startswith(f"{start}.")]
+    if not known:
+        raise LookupError(f"no page of the Python API is about {home}: name its place in TOPICS")
+    return starts[max(known, key=len)]
+
+
+def api_of(topic: str) -> str:
+    """Return what tells mkdocstrings to show a page's functions, then its other public names.
 
     It reads sources, and finds a name where it is at home.
-    """
-    import inspect
 
+    Args:
+        topic: of the page, one of `TOPICS`.
+    """
     import nw_eval
     from nw_base.public import homes
 
     at_home = homes(f"{nw_eval.__file__}i")
+    shown: dict[bool, list[str]] = {True: [], False: []}
+    for name in sorted(nw_eval.__all__, key=str.lower):
+        if not name.startswith("_") and topic_of(f"{at_home[name]}.{name}") == topic:
+            is_function = inspect.isfunction(getattr(nw_eval, name))
+            shown[is_function].append(f"::: {at_home[name]}.{name}")
+    titles = {True: "## Functions", False: "## Values" if shown[True] else "## Classes"}
     return "\n\n".join(
-        f"::: {at_home[name]}.{name}"
-        for name in sorted(nw_eval.__all__, key=str.lower)
-        if not name.startswith("_") and inspect.isfunction(getattr(nw_eval, name)) == functions
+        "\n\n".join([titles[is_function], *names]) for is_function, names in shown.items() if names
+    )
+
+
+# A real run.
+
+
+EXAMPLES: Mapping[str, tuple[str, str, str]] = MappingProxyType(
+    {
+        "report": (
+            "report.html",
+            "The report of a run that regressed",
+            "nw-eval run gaps --policy go1-act-rgb --baseline go1-parkour",
+        ),
+        "leaderboard": (
+            "leaderboard/index.html",
+            "A leaderboard of three policies",
+            "nw-eval report --site leaderboard reports/gaps-*",
+        ),
+    }
+)
+"""Pages that `make docs` makes of real runs: file in `EXAMPLE`, title, and command."""
+
+
+def example(name: str) -> str:
+    """Return what shows a page of a real run within a page; a sentence where none was made.
+
+    Args:
+        name: one of `EXAMPLES`.
+    """
+    file, title, command = EXAMPLES[name]
+    told = f"<code>{command}</code>"
+    if not (EXAMPLE / file).is_file():
+        return f"<p>{told} writes it. <code>make docs</code> shows it here.</p>"
+    page = f"{_UP}example/{file}"
+    return (
+        f'<figure class="example"><iframe src="{page}" title="{title}" loading="lazy"></iframe>\n'
+        f'<figcaption>{title}: {told}. <a href="{page}">Open it in full</a></figcaption></figure>'
     )
 
 
@@ -435,9 +520,10 @@ def on_config(config: Any) -> Any:
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Any) -> str:  # noqa: ARG001
     """Put the generated parts into a page."""
-    if page.file.src_uri in _UNSEARCHED:
+    if _UNSEARCHED.fullmatch(page.file.src_uri):
         page.meta["search"] = {"exclude": True}
-    return adapted(filled(markdown), page.file.src_uri)
+    text = adapted(filled(markdown), page.file.src_uri)
+    return text.replace(_UP, "../" * page.file.src_uri.count("/"))
 
 
 def on_post_page(output: str, *, page: Any, config: Any) -> str:  # noqa: ARG001
@@ -448,3 +534,9 @@ def on_post_page(output: str, *, page: Any, config: Any) -> str:  # noqa: ARG001
 def on_post_template(output: str, *, template_name: str, config: Any) -> str:  # noqa: ARG001
     """Do the same for the page of an address that is none."""
     return output.replace('data-md-component="search" role="dialog"', _SEARCH)
+
+
+def on_post_build(*, config: Any) -> None:
+    """Add the pages of real runs, if there are some."""
+    if EXAMPLE.is_dir():
+        shutil.copytree(EXAMPLE, Path(config.site_dir) / "example", dirs_exist_ok=True)

@@ -15,6 +15,11 @@ from typing import Any
 
 DOCS = Path(__file__).parent
 
+_AS_IT_IS = re.compile(
+    r"(<(?:pre|script|style|textarea)\b.*?</(?:pre|script|style|textarea)>)", re.DOTALL
+)
+"""What has its spaces for a reason."""
+_SPACES = re.compile(r"\s{2,}")
 _IMAGE = re.compile(r'<img (?=[^>]*\bsrc="((?:\.\./)*images/[^"]+)")')
 _CLASSES = re.compile(r'\bclass="([^"]*)"')
 _VALUES = re.compile(r'\b(?:data-md-color-[\w-]+|dir)="([^"]*)"')
@@ -47,11 +52,18 @@ _SEARCH = """\
 
 def on_post_page(output: str, *, page: Any, config: Any) -> str:  # noqa: ARG001
     """Let a page load less, and that later."""
+    pieces = _AS_IT_IS.split(output)
+    pieces[::2] = [_SPACES.sub(_one_space, piece) for piece in pieces[::2]]
+    output = "".join(pieces)
     if 'class="doc' not in output:
         output = _SIGNATURES.sub("", output)
     output = _JOINED.sub("", output)
     output = _IMAGE.sub(lambda found: f"<img {_attributes(found[1])} ", output)
     return output.replace("</head>", f"{_SEARCH}</head>", 1)
+
+
+def _one_space(found: re.Match[str]) -> str:
+    return "\n" if "\n" in found[0] else " "
 
 
 def _attributes(source: str) -> str:

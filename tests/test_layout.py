@@ -132,7 +132,7 @@ MOST = {
         ),
     ),
     "nw_eval": Figures(
-        32104,
+        32918,  # JSON of more verbs; the time that a run still takes; paths as text.
         153,
         ("nw_learn", "nw_twin"),
     ),
@@ -178,7 +178,7 @@ MOST = {
     ),
 }
 """What each package holds. A change that needs more says here what for, in the same commit."""
-TESTS = 107032
+TESTS = 109102
 """Lines of all tests."""
 GROWTH = 1.02
 

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -55,7 +56,9 @@ def test_a_page_shows_every_part_and_no_part_is_unknown() -> None:
         for page in sorted(DOCS.rglob("*.md"))
         for part in re.findall(r"<!-- generated: ([\w -]+) -->", page.read_text("utf-8"))
     ]
-    assert sorted(named) == sorted(generate.parts())
+    assert set(named) == set(generate.parts())
+    several = {part for part in named if named.count(part) > 1}
+    assert several == {"example report"}, "two pages say the same"
 
 
 @pytest.fixture(scope="module")
@@ -159,10 +162,47 @@ def test_every_column_topic_and_score_is_there() -> None:
     assert first_cells(generate.scores()) == list(BUILT_IN)
 
 
-def test_every_public_name_is_shown() -> None:
-    text = f"{generate.api_of(functions=True)}\n{generate.api_of(functions=False)}"
-    told = re.findall(r"^::: nw_[\w.]+\.(\w+)$", text, re.MULTILINE)
+def test_every_public_name_is_shown_on_one_page() -> None:
+    pages = {topic: generate.api_of(topic) for topic in generate.TOPICS}
+    told = re.findall(r"^::: nw_[\w.]+\.(\w+)$", "\n".join(pages.values()), re.MULTILINE)
     assert sorted(told) == sorted(name for name in nw_eval.__all__ if not name.startswith("_"))
+    assert "::: nw_eval.api.runs.run" in pages["runs"]
+    assert "::: nw_base.errors.SuiteError" in pages["extending"]
+    assert all(pages.values())
+
+
+def test_a_name_of_a_new_package_has_no_page_until_one_is_named() -> None:
+    assert generate.topic_of("nw_eval.api.runs.run") == "runs"
+    assert generate.topic_of("nw_sim.rollout.replaying.reports.ReplayReport") == "logs"
+    with pytest.raises(LookupError, match="name its place in TOPICS"):
+        generate.topic_of("nw_new.thing.Thing")
+
+
+def test_a_page_of_a_real_run_is_shown_where_there_is_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(generate, "EXAMPLE", tmp_path / "example")
+    told = generate.example("report")
+    assert "<iframe" not in told
+    assert "href" not in told
+    assert "make docs" in told
+    (tmp_path / "example").mkdir()
+    (tmp_path / "example" / "report.html").write_text("<p>REGRESSED</p>")
+    shown = generate.example("report")
+    assert '<iframe src="{up}example/report.html" title="' in shown
+    assert '<a href="{up}example/report.html">Open it in full</a>' in shown
+    site = SimpleNamespace(site_dir=str(tmp_path / "site"))
+    generate.on_post_build(config=site)
+    assert (tmp_path / "site" / "example" / "report.html").read_text() == "<p>REGRESSED</p>"
+
+
+def test_the_commands_of_the_example_pages_are_those_that_make_them() -> None:
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    for file, _, command in generate.EXAMPLES.values():
+        verb = " ".join(command.split()[1:3])
+        assert f"$(BIN)/nw-eval {verb}" in makefile
+        assert file.split("/")[0] in makefile
+    assert " ".join(generate.EXAMPLES["report"][2].split()[1:]) in makefile
 
 
 def test_the_changelog_links_from_the_pages_folder() -> None:
@@ -191,16 +231,60 @@ def test_what_only_github_reads_is_put_as_both_read_it() -> None:
     ]
 
 
-@pytest.mark.nightly
-def test_the_site_builds_without_a_warning_and_fetches_nothing(tmp_path: Path) -> None:
+REPOSITORY = "https://code.example/dogs/nw-eval"
+LARGEST = 150_000
+"""Bytes of a page of the reference, as a browser gets it."""
+
+
+def built(folder: Path, repository: str = "") -> dict[str, str]:
+    """The pages of the site by their paths, without those of runs."""
     pytest.importorskip("material")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
-    quiet = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
-    done = subprocess.run(command, cwd=ROOT, env=quiet, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
+    settings = {"NO_MKDOCS_2_WARNING": "1", "NW_EVAL_REPOSITORY": repository}
+    done = subprocess.run(
+        command, cwd=ROOT, env=os.environ | settings, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert "WARNING" not in done.stderr
-    for page in tmp_path.rglob("*.html"):
-        text = page.read_text(encoding="utf-8")
+    pages = (page for page in folder.rglob("*.html") if folder / "example" not in page.parents)
+    return {page.relative_to(folder).as_posix(): page.read_text("utf-8") for page in pages}
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    return built(tmp_path_factory.mktemp("site"))
+
+
+@pytest.mark.nightly
+def test_a_page_of_the_reference_is_small(site: dict[str, str]) -> None:
+    sizes = {name: len(text.encode()) for name, text in site.items() if "reference/" in name}
+    assert len(sizes) > 25
+    assert {name: size for name, size in sizes.items() if size > LARGEST} == {}
+    assert sum("reference/python/" in name for name in sizes) == len(generate.TOPICS)
+
+
+@pytest.mark.nightly
+def test_a_page_leads_to_the_repository_only_where_its_address_is_known(
+    site: dict[str, str], tmp_path: Path
+) -> None:
+    assert not [name for name, text in site.items() if 'title="Edit this page"' in text]
+    assert not [name for name, text in site.items() if 'class="md-source"' in text]
+    assert 'changelog.html">0.2.0</a>'.replace("0.2.0", nw_eval.__version__) in site["index.html"]
+    known = built(tmp_path, REPOSITORY)
+    edit = f'<a href="{REPOSITORY}/edit/main/docs/index.md" title="Edit this page"'
+    assert edit in known["index.html"]
+    assert f'href="{REPOSITORY}/edit/main/CHANGELOG.md"' in known["changelog.html"]
+    assert f'href="{REPOSITORY}"' in known["how-to/ci.html"]
+    assert 'title="Edit this page"' not in known["reference/python/runs.html"]
+    assert f"{REPOSITORY}/releases/expanded_assets" in known["index.html"]
+    assert not [name for name, text in known.items() if "OWNER/nw-eval" in text]
+    # The theme asks GitHub for stars where it finds this.
+    assert not [name for name, text in known.items() if 'data-md-component="source"' in text]
+
+
+@pytest.mark.nightly
+def test_the_site_fetches_nothing(site: dict[str, str]) -> None:
+    for page, text in site.items():
         loaded = re.findall(r"<(?:script|img|iframe|source)\b[^>]*\bsrc=\"(.*?)\"", text)
         loaded += re.findall(r"<link\b[^>]*rel=\"(?:stylesheet|icon|preconnect)\"[^>]*>", text)
         assert not [each for each in loaded if re.search(r"(?:https?:)?//", each)], page

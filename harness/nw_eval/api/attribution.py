@@ -7,9 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_eval.api.paths import as_path
 from nw_eval.api.renamed import keywords_were
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from nw_base.errors import NwEvalError
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
@@ -65,11 +68,11 @@ class Attribution:
 
 @keywords_were(at_most="trials")
 def attribute(
-    run: Path,
+    run: str | PathLike[str],
     *,
     baseline: str,
     policy: str | None = None,
-    checkpoint: Path | None = None,
+    checkpoint: str | PathLike[str] | None = None,
     trials: int = AT_MOST,
     workers: int | None = None,
     allow_code: bool = False,
@@ -107,6 +110,8 @@ def attribute(
     from nw_sim.rollout.confined.vetting import vet_bundle
     from nw_sim.rollout.replaying.apart import attribute_apart
 
+    run = as_path(run)
+    checkpoint = as_path(checkpoint)
     if trials < 1:
         raise UsageError(f"--trials {trials} is too low", fix="give at least 1 trial")
     folder, info, rows = _read(run)

@@ -14,10 +14,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from nw_base.errors import IncomparableError, StoreError, TrialError, UsageError
 from nw_base.plural import plural
+from nw_eval.api.paths import as_path
 from nw_eval.api.renamed import keywords_were
 from nw_eval.engine.how import How
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from nw_eval.api.baselines import Here
     from nw_gate.results.bank import BaselineChange, BaselineResults
     from nw_gate.results.provenance import RunInfo
@@ -58,7 +61,7 @@ def save_baseline(
     run: str | Path | None = None,
     renew: bool = False,
     held_out: bool = False,
-    root: Path | None = None,
+    root: str | PathLike[str] | None = None,
     **changes: Any,
 ) -> SavedBaseline:
     """Save what a policy scores from every start of a panel: the baseline of later gates.
@@ -93,6 +96,7 @@ def save_baseline(
     from nw_eval.suite import load_suite
     from nw_gate.results.bank_file import bank_of_run
 
+    root = as_path(root)
     if trials is not None and trials < 1:
         raise UsageError(f"--trials {trials} is too low", fix="give at least 1")
     how = How.taken_from(changes, "workers", "cache", "listener")

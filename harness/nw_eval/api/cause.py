@@ -17,10 +17,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nw_base.errors import PolicyError, StoreError, UsageError
+from nw_eval.api.paths import as_path
 from nw_eval.engine.how import How
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from os import PathLike
 
     from nw_eval.engine.plan import Plan
     from nw_eval.suite import Suite
@@ -47,14 +49,14 @@ class FoundCause:
 
 
 def find_cause(
-    run: Path,
+    run: str | PathLike[str],
     *,
     baseline: str,
     policy: str | None = None,
-    checkpoint: Path | None = None,
+    checkpoint: str | PathLike[str] | None = None,
     trials: int | None = None,
     allow_code: bool = False,
-    out: Path | None = None,
+    out: str | PathLike[str] | None = None,
     **how: Any,
 ) -> FoundCause:
     """Run old and new control with old and new perception in the trials of a run, and compare.
@@ -85,6 +87,9 @@ def find_cause(
     from nw_gate.results.run_folder import open_run_folder
     from nw_sim.rollout.confined.start import prepare
 
+    run = as_path(run)
+    checkpoint = as_path(checkpoint)
+    out = as_path(out)
     means = How.of(how, "workers", "cache", "listener")
     if trials is not None and trials < 1:
         raise UsageError(f"--trials {trials} is too low", fix="give at least 1")

@@ -46,6 +46,10 @@ USES = MappingProxyType(
 """What needs an extra."""
 
 LIBRARIES = ("mujoco", "numpy", "numba", "llvmlite", "onnxruntime", "torch", "pyarrow")
+_UNPACKAGED = (
+    "nw-eval runs from a folder that is not installed: its requirements and extras were not "
+    "checked; install it, such as with `pip install -e .`"
+)
 _LEAST_FREE = 2 * 10**9
 """Bytes that runs and splats of built-in scenes soon take."""
 
@@ -86,11 +90,15 @@ def check_up() -> Checkup:
     from nw_base.confinement import offered
 
     fence = offered()
-    unmet = dict(_unmet())
+    unmet: dict[str, tuple[str, ...]] = {}
+    warnings: list[str] = []
+    try:
+        unmet |= _unmet()
+    except metadata.PackageNotFoundError:
+        warnings.append(_UNPACKAGED)
     problems = [f"{need}: pip install --upgrade nw-eval" for need in unmet.pop("", ())]
     cache, unusable = _cache()
     problems += unusable
-    warnings: list[str] = []
     if not (fence.landlock and fence.seccomp):
         warnings.append(
             "the fence is not whole: TorchScript, torch.export and Python policies need "
@@ -142,7 +150,11 @@ def _blas_kernel() -> str:
 
 
 def _unmet() -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield each extra, `` for nw-eval itself, with the requirements that are not met."""
+    """Yield each extra, `` for nw-eval itself, with the requirements that are not met.
+
+    Raises:
+        PackageNotFoundError: nw-eval is not installed.
+    """
     from packaging.requirements import Requirement  # matplotlib has it.
 
     package = metadata.distribution("nw-eval")
@@ -215,11 +227,15 @@ def _cache() -> tuple[dict[str, str | int], list[str]]:
 
 def _compiled() -> tuple[str, ...]:
     """Return what `warmup.warm_kernels` does, without a second for importing numba."""
-    from llvmlite import binding
-
     from nw_base.files.cache import cache_dir
 
-    versions = (platform.python_version(), *map(metadata.version, ("numba", "llvmlite", "numpy")))
+    try:
+        found = [metadata.version(name) for name in ("numba", "llvmlite", "numpy")]
+    except metadata.PackageNotFoundError:
+        return ()
+    versions = (platform.python_version(), *found)
+    from llvmlite import binding
+
     packages, folder = Path(__file__).parents[2], cache_dir() / "kernels"
 
     def is_compiled(kind: str, sources: Path) -> bool:

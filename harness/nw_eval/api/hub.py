@@ -8,7 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_eval.api.paths import as_path
+
 if TYPE_CHECKING:
+    from os import PathLike
+
     from nw_scenes.hub import FetchListener
     from nw_scenes.hub.reference import Fetched
 
@@ -28,7 +32,10 @@ class PushedScene:
 
 
 def fetch_scene(
-    reference: str, *, file: Path | None = None, listener: FetchListener | None = None
+    reference: str,
+    *,
+    file: str | PathLike[str] | None = None,
+    listener: FetchListener | None = None,
 ) -> Fetched:
     """Return a scene as its hub has it now, fetched as far as it is not on this machine.
 
@@ -48,6 +55,7 @@ def fetch_scene(
     """
     from nw_sim import catalogue
 
+    file = as_path(file)
     with _heard(listener):
         return catalogue.fetch_scene(reference, file=file)
 
@@ -99,7 +107,7 @@ def fetch_robot(reference: str, *, listener: FetchListener | None = None) -> Fet
     return fetched
 
 
-def push_scene(folder: Path, to: str, *, private: bool = False) -> PushedScene:
+def push_scene(folder: str | PathLike[str], to: str, *, private: bool = False) -> PushedScene:
     """Put a scene folder into a repository of a hub, in one commit, and return where it lies.
 
     The files that the scene is made of are pushed, and README and licence if they lie beside it;
@@ -123,6 +131,7 @@ def push_scene(folder: Path, to: str, *, private: bool = False) -> PushedScene:
     from nw_scenes.hub.reference import parse
     from nw_sim.catalogue import inspect_scene
 
+    folder = as_path(folder)
     reference = parse(to, "scene")
     found = folder_files(folder)
     faults = [str(each) for each in inspect_scene(folder).findings if each.severity == "error"]

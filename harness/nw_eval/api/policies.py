@@ -10,8 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_base.errors import CrashError, PolicyError, UsageError
+from nw_eval.api.paths import as_path
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from nw_policies.cards.load import ListedPolicy
     from nw_sim.probe.report import ProbeReport
     from nw_sim.probe.summary import CardSummary
@@ -57,7 +60,7 @@ def show_policy(
     policy: str,
     *,
     robot: str | None = None,
-    checkpoint: Path | None = None,
+    checkpoint: str | PathLike[str] | None = None,
     allow_code: bool = False,
 ) -> CardSummary:
     """Return what a card says: each term, each joint, whatever is not by default, its files.
@@ -75,6 +78,7 @@ def show_policy(
     from nw_policies import find_card
     from nw_sim.probe.summary import card_summary
 
+    checkpoint = as_path(checkpoint)
     card = find_card(policy)
     _know(robot, card)
     return card_summary(card, checkpoint=checkpoint, allow_code=allow_code)
@@ -109,7 +113,7 @@ def check_policy(
     policy: str,
     *,
     robot: str | None = None,
-    checkpoint: Path | None = None,
+    checkpoint: str | PathLike[str] | None = None,
     scene: str | None = None,
     allow_code: bool = False,
 ) -> ProbeReport:
@@ -133,6 +137,7 @@ def check_policy(
     from nw_sim.catalogue import brought, parse_reference
     from nw_sim.probe.report import FLAT, probe_policy
 
+    checkpoint = as_path(checkpoint)
     if robot is not None:
         _know(robot, find_card(policy))
     bundle = load_bundle(policy, checkpoint=checkpoint)
@@ -144,7 +149,11 @@ def check_policy(
 
 
 def init_policy(
-    checkpoint: Path, *, robot: str, out: Path | None = None, layout: str | None = None
+    checkpoint: str | PathLike[str],
+    *,
+    robot: str,
+    out: str | PathLike[str] | None = None,
+    layout: str | None = None,
 ) -> CardDraft:
     """Inspect a checkpoint and what lies beside it, without running it, and write a first card.
 
@@ -178,6 +187,8 @@ def init_policy(
     from nw_sim.rollout.confined.access import inspecting_rules
     from nw_sim.rollout.confined.isolated import call_isolated
 
+    checkpoint = as_path(checkpoint)
+    out = as_path(out)
     found = find_robot(robot)
     others: tuple[str, ...] = ()
     folder = checkpoint.parent
@@ -236,7 +247,7 @@ def _taken(checkpoint: Path, widths: Sequence[int]) -> int:
     return taken if taken in widths else 0
 
 
-def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
+def fold_policy(checkpoint: str | PathLike[str], *, out: str | PathLike[str]) -> FoldedGraph:
     """Write a checkpoint of several files as one file, without running it.
 
     Args:
@@ -257,6 +268,8 @@ def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
     from nw_sim.rollout.confined.isolated import call_isolated
     from nw_sim.rollout.replaying.apart import fetch, scratch_folder
 
+    checkpoint = as_path(checkpoint)
+    out = as_path(out)
     if what_is(followed(out)) == "file":
         raise UsageError(f"{out} exists already", fix="move it away, or name another with --out")
     with scratch_folder() as folder:
@@ -276,7 +289,7 @@ def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
 def serve_policy(
     policy: str,
     *,
-    checkpoint: Path | None = None,
+    checkpoint: str | PathLike[str] | None = None,
     host: str = "127.0.0.1",
     port: int = 8765,
     allow_code: bool = False,
@@ -300,6 +313,7 @@ def serve_policy(
     from nw_base.confinement import child_environment
 
     # Before anything is imported that starts threads, which would stay outside of the fence.
+    checkpoint = as_path(checkpoint)
     with child_environment() if confined and not allow_code else nullcontext():
         from nw_policies import load_bundle
         from nw_policies.serve import serving

@@ -5,8 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nw_eval.api.paths import as_path
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from os import PathLike
 
     from nw_eval.viewing.recording.track import WrittenRecording
     from nw_sim.rollout.replaying.reports import ReplayReport, TakeoverReport
@@ -14,13 +17,13 @@ if TYPE_CHECKING:
 
 
 def replay(
-    log: Path,
+    log: str | PathLike[str],
     *,
     policy: str | None = None,
-    checkpoint: Path | None = None,
+    checkpoint: str | PathLike[str] | None = None,
     start: float = 0.0,
-    picture: Path | None = None,
-    video: Path | None = None,
+    picture: str | PathLike[str] | None = None,
+    video: str | PathLike[str] | None = None,
     allow_code: bool = False,
 ) -> ReplayReport:
     """Run a recorded trial again, in a process of its own, and compare its end bit for bit.
@@ -44,7 +47,10 @@ def replay(
     """
     from nw_sim.rollout.replaying.apart import replay_apart
 
-    log = _found(log)
+    log = _found(as_path(log))
+    checkpoint = as_path(checkpoint)
+    picture = as_path(picture)
+    video = as_path(video)
     _check_video(video)
     return replay_apart(
         log,
@@ -58,13 +64,13 @@ def replay(
 
 
 def take_over(
-    log: Path,
+    log: str | PathLike[str],
     *,
     start: float,
     policy: str | None = None,
-    checkpoint: Path | None = None,
-    out: Path | None = None,
-    video: Path | None = None,
+    checkpoint: str | PathLike[str] | None = None,
+    out: str | PathLike[str] | None = None,
+    video: str | PathLike[str] | None = None,
     allow_code: bool = False,
 ) -> TakeoverReport:
     """Run a recorded trial in which another policy takes over, in a process of its own.
@@ -94,7 +100,10 @@ def take_over(
     """
     from nw_sim.rollout.replaying.apart import take_over_apart
 
-    log = _found(log)
+    log = _found(as_path(log))
+    checkpoint = as_path(checkpoint)
+    out = as_path(out)
+    video = as_path(video)
     _check_video(video)
     return take_over_apart(
         log,
@@ -108,7 +117,7 @@ def take_over(
 
 
 def log_scores(
-    log: Path,
+    log: str | PathLike[str],
     *,
     scores: Sequence[str] = (),
     robot: str | None = None,
@@ -139,6 +148,7 @@ def log_scores(
     from nw_base.errors import UsageError
     from nw_sim.rollout.replaying.rescored import scores_of_log
 
+    log = as_path(log)
     chosen: dict[str, str] = {}
     for each in topics:
         source, separator, name = each.partition("=")
@@ -152,7 +162,9 @@ def log_scores(
     return scores_of_log(log, names=scores, robot=robot, topics=chosen, allow_code=allow_code)
 
 
-def foxglove_layout(log: Path, out: Path | None = None) -> dict[str, Any]:
+def foxglove_layout(
+    log: str | PathLike[str], out: str | PathLike[str] | None = None
+) -> dict[str, Any]:
     """Return a layout of Foxglove and Lichtblick for a log: what a file of JSON says, to import.
 
     Args:
@@ -167,7 +179,7 @@ def foxglove_layout(log: Path, out: Path | None = None) -> dict[str, Any]:
     from nw_eval.viewing.shown import layout, layout_json, shown_in_log
     from nw_sim.rollout.mcap.reader import LogReader
 
-    log = _found(log)
+    log, out = _found(as_path(log)), as_path(out)
     shown = shown_in_log(LogReader(log))
     if out is not None:
         with atomic_path(followed(out)) as temporary:
@@ -175,7 +187,7 @@ def foxglove_layout(log: Path, out: Path | None = None) -> dict[str, Any]:
     return layout(shown)
 
 
-def rerun_layout(log: Path, out: Path) -> Path:
+def rerun_layout(log: str | PathLike[str], out: str | PathLike[str]) -> Path:
     """Write a layout of Rerun for a log that `rerun mcap convert` has converted; return its path.
 
     Args:
@@ -189,11 +201,11 @@ def rerun_layout(log: Path, out: Path) -> Path:
     """
     from nw_eval.viewing.recording.content import write_layout
 
-    log = _found(log)
+    log, out = _found(as_path(log)), as_path(out)
     return write_layout(log, out)
 
 
-def rerun_recording(log: Path, out: Path) -> WrittenRecording:
+def rerun_recording(log: str | PathLike[str], out: str | PathLike[str]) -> WrittenRecording:
     """Write a log as a recording of Rerun, with the scene's Gaussians where the scene is at hand.
 
     Nothing is run again, no viewer is started, and nothing goes over a network.
@@ -209,7 +221,7 @@ def rerun_recording(log: Path, out: Path) -> WrittenRecording:
     """
     from nw_eval.viewing.recording.content import write_recording
 
-    log = _found(log)
+    log, out = _found(as_path(log)), as_path(out)
     return write_recording(log, out)
 
 

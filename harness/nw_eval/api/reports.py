@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING
 
 from nw_base.clean import clean
 from nw_base.errors import IncomparableError, NwEvalError, StoreError
+from nw_eval.api.paths import as_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from os import PathLike
 
     from nw_eval.api.evidence import KeptEvidence
     from nw_eval.reporting.html.evidence import LogEvidence
@@ -98,7 +100,7 @@ class RunReport:
         return f"RunReport({self.verdict.verdict}, {str(self.typed_folder)!r})"
 
 
-def report(run: str | Path, *, out: Path | None = None) -> RunReport:
+def report(run: str | Path, *, out: str | PathLike[str] | None = None) -> RunReport:
     """Judge a run as it was begun, by its bar and its baseline, and write its two pages.
 
     Args:
@@ -111,6 +113,7 @@ def report(run: str | Path, *, out: Path | None = None) -> RunReport:
     """
     from nw_gate.results.run_folder import RunFolder
 
+    out = as_path(out)
     judged = as_begun(run)
     return written(judged, RunFolder(path=judged.folder).report_md if out is None else out)
 
@@ -228,7 +231,7 @@ def judge(
     baseline: str | None = None,
     max_drop: float | None = None,
     tolerate: float | None = None,
-    out: Path | None = None,
+    out: str | PathLike[str] | None = None,
 ) -> RunReport:
     """Judge the rows that a run has, by its suite's bar and against a baseline.
 
@@ -253,6 +256,7 @@ def judge(
     from nw_gate.results.provenance import read_run_info
     from nw_gate.results.run_folder import open_run_folder
 
+    out = as_path(out)
     folder = open_run_folder(Path(run))
     info = check_whole(read_run_info(folder.run_json))
     suite = override_gate(saved_suite(info), max_drop=max_drop, tolerate=tolerate)

@@ -8,7 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_eval.api.paths import as_path
+
 if TYPE_CHECKING:
+    from os import PathLike
+
     from nw_sim.probe.robot_check import CheckedRobot, RobotSummary
 
 
@@ -89,7 +93,7 @@ def show_robot(robot: str) -> RobotSummary:
     return summary_of(find_robot(robot))
 
 
-def init_robot(model: Path, *, out: Path | None = None) -> RobotDraft:
+def init_robot(model: str | PathLike[str], *, out: str | PathLike[str] | None = None) -> RobotDraft:
     """Derive a first robot.yaml from a model file, and drop the robot for 2 s.
 
     It is written beside the model, or into the folder above that holds model and meshes.
@@ -111,6 +115,8 @@ def init_robot(model: Path, *, out: Path | None = None) -> RobotDraft:
     from nw_scenes.robots.folder import ROBOT_FILE
     from nw_sim.probe.robot_draft import draft_robot
 
+    model = as_path(model)
+    out = as_path(out)
     if out is not None and os.path.lexists(out):
         raise UsageError(f"{out} exists already", fix="move it away, or name another with --out")
     if out is not None:
@@ -143,7 +149,7 @@ def _copy(root: Path, files: tuple[str, ...], out: Path) -> None:
             shutil.copyfile(inside(root, name), target)
 
 
-def check_robot(robot: str, *, out: Path | None = None) -> CheckedRobot:
+def check_robot(robot: str, *, out: str | PathLike[str] | None = None) -> CheckedRobot:
     """Stand a robot on level ground for 2 s in its pose, with its gains, in a confined process.
 
     Args:
@@ -158,6 +164,7 @@ def check_robot(robot: str, *, out: Path | None = None) -> CheckedRobot:
     from nw_base.files.cache import atomic_path, followed
     from nw_sim.probe import robot_check
 
+    out = as_path(out)
     if out is not None:
         followed(out)  # What can never be written is said before anything is simulated.
     checked, picture = robot_check.check_robot(robot)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from nw_base.errors import UsageError
 from nw_base.files.traceback_file import TracebackIn
 from nw_base.plural import plural
+from nw_eval.api.paths import as_path
 from nw_eval.api.plans import plan
 from nw_eval.api.reports import RunReport, prepare_pages, report_here
 from nw_eval.engine.how import How, check_limits
@@ -20,6 +21,7 @@ from nw_sim.rollout.confined.start import prepare
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from os import PathLike
 
     from nw_eval.engine.plan import Plan
     from nw_gate.results.provenance import ShardInfo
@@ -33,8 +35,8 @@ if TYPE_CHECKING:
 def run(
     request: Request | str | Path | None = None,
     *,
-    out: Path | None = None,
-    resume: Path | None = None,
+    out: str | PathLike[str] | None = None,
+    resume: str | PathLike[str] | None = None,
     **changes: Any,
 ) -> RunReport:
     """Roll a checkpoint out through a suite, write the evidence, and judge it.
@@ -56,6 +58,8 @@ def run(
     """
     from nw_eval.api.continuing import continued
 
+    out = as_path(out)
+    resume = as_path(resume)
     how = How.taken_from(changes)
     if resume is not None and out is not None:
         raise UsageError("--out and --resume exclude each other", fix="drop --out")

@@ -9,9 +9,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_eval.api.paths import as_path
 from nw_eval.api.renamed import keywords_were
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from nw_eval.engine.listener import Listener
     from nw_places.splits import Split
     from nw_scenes.finding import SceneFinding
@@ -97,7 +100,7 @@ def list_scenes(
     )
 
 
-def show_scene(reference: str, *, out: Path | None = None) -> SceneFigures:
+def show_scene(reference: str, *, out: str | PathLike[str] | None = None) -> SceneFigures:
     """Return a scene's figures, and draw it from above if asked.
 
     Args:
@@ -112,6 +115,7 @@ def show_scene(reference: str, *, out: Path | None = None) -> SceneFigures:
     from nw_scenes.overview import draw_plan, figures
     from nw_sim.catalogue import get_scene
 
+    out = as_path(out)
     scene = get_scene(reference)
     if out is not None:
         draw_plan(scene, out)
@@ -123,7 +127,7 @@ def check_scenes(
     references: Sequence[str],
     *,
     robot: str = "go1",
-    out: Path | None = None,
+    out: str | PathLike[str] | None = None,
     policy: str | None = None,
 ) -> tuple[CheckedScene, ...]:
     """Return what is wrong with scenes; one that cannot be read is a finding, too.
@@ -145,6 +149,7 @@ def check_scenes(
     from nw_base.files.inside import what_is
     from nw_sim.catalogue import inspect_scene
 
+    out = as_path(out)
     if not references:
         raise UsageError("no scene to check", fix="name one, or its folder")
     if policy is not None and out is None:
@@ -175,7 +180,11 @@ def _write_suite(path: Path, references: Sequence[str], robot: str, policy: str 
 
 
 def render_scenes(
-    patterns: Sequence[str] = (), *, out: Path, width: int = 480, listener: Listener | None = None
+    patterns: Sequence[str] = (),
+    *,
+    out: str | PathLike[str],
+    width: int = 480,
+    listener: Listener | None = None,
 ) -> Path:
     """Draw scenes from the robot's eye and from outside into one PNG, and return its path.
 
@@ -195,6 +204,7 @@ def render_scenes(
     from nw_sim.catalogue import match_scenes
     from nw_sim.rollout.replaying.film import write_scene_sheet
 
+    out = as_path(out)
     followed(out)  # What can never be written is said before anything is drawn.
     found = match_scenes(tuple(patterns) or ("*",))
     build_splats(found, listener or NullListener())

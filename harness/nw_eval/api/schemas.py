@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nw_base.words import Described
+from nw_eval.api.paths import as_path
+
+if TYPE_CHECKING:
+    from os import PathLike
 
 
-def schema(kind: Described, *, out: Path | None = None) -> dict[str, Any]:
+def schema(kind: Described, *, out: str | PathLike[str] | None = None) -> dict[str, Any]:
     """Return the JSON Schema of suites, cards, `scene.yaml`, or a scene's file of boxes.
 
     Args:
@@ -21,6 +24,7 @@ def schema(kind: Described, *, out: Path | None = None) -> dict[str, Any]:
     """
     from nw_base.files.cache import atomic_path, followed
 
+    out = as_path(out)
     described = _schema(kind)
     if out is not None:
         with atomic_path(followed(out)) as temporary:

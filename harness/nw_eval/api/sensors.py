@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from nw_eval.api.paths import as_path
+
 if TYPE_CHECKING:
+    from os import PathLike
+
     from nw_sim.sensors.gallery import SeenCard
 
 Listed = Literal["sensor", "wrapper"]
@@ -46,7 +49,7 @@ def list_sensors() -> tuple[ListedSensor, ...]:
 
 
 def draw_sensors(
-    policy: str | None, *, scene: str, out: Path, allow_code: bool = False
+    policy: str | None, *, scene: str, out: str | PathLike[str], allow_code: bool = False
 ) -> SeenCard:
     """Draw what a card's sensors see in a scene, or one frame of every built-in sensor.
 
@@ -65,6 +68,7 @@ def draw_sensors(
     from nw_sim.catalogue import get_scene
     from nw_sim.sensors.gallery import SeenCard, draw_card, draw_gallery
 
+    out = as_path(out)
     place = get_scene(scene)
     if policy is None:
         draw_gallery(place, out)

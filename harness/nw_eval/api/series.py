@@ -9,10 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nw_eval.api.paths import as_path
 from nw_eval.api.renamed import keywords_were
 from nw_eval.engine.how import How
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from nw_eval.api.reports import RunReport
     from nw_gate.bisection import Bisection, Decision
     from nw_gate.results.request import Request
@@ -60,7 +63,7 @@ def bisect(
     policy: str | None = None,
     everyone: bool = False,
     baseline_trials: int | None = None,
-    out: Path | None = None,
+    out: str | PathLike[str] | None = None,
     progress: Callable[[str, str], None] | None = None,
     **changes: Any,
 ) -> BisectedSeries:
@@ -99,6 +102,7 @@ def bisect(
     from nw_gate import bisection
     from nw_gate.results.request import Request
 
+    out = as_path(out)
     series = tuple(str(one) for one in (*_of_folders(checkpoints, good, bad), bad))
     read = load_suite(suite)
     how = How.taken_from(changes, "workers", "cache", "listener")

@@ -29,8 +29,11 @@ from nw_base.files.cache import (
     sealed_path,
 )
 from nw_base.files.inside import regular
+from nw_eval.api.paths import as_path
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from nw_eval.api.reports import RunReport
     from nw_eval.reporting.html.board import BoardSection
     from nw_eval.reporting.html.runs import ListedRun
@@ -73,7 +76,7 @@ class RunIndex:
 def index_runs(
     runs: Sequence[str | Path],
     *,
-    out: Path | None = None,
+    out: str | PathLike[str] | None = None,
     title: str | None = None,
     pictures: bool = True,
 ) -> RunIndex:
@@ -97,6 +100,7 @@ def index_runs(
     from nw_eval.reporting.html.runs import render_index
     from nw_eval.reporting.markdown import write_report
 
+    out = as_path(out)
     folders, skipped = _folders(runs, "list")
     page = Path(os.path.commonpath([folder.parent for folder in folders])) / PAGE
     page = out or page

@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING
 
 from nw_base.errors import SceneError, nearest
 from nw_base.files.inside import what_is
+from nw_eval.api.paths import as_path
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from nw_base.words import Backend, Projection, UpAxis
     from nw_splat.files.convert import WrittenSplat
     from nw_splat.gaussians import Gaussians, SplatFigures
@@ -33,7 +36,7 @@ def splat_info(source: str | Path) -> SplatFigures:
     return describe(_gaussians(source))
 
 
-def splat_convert(source: str | Path, out: Path) -> WrittenSplat:
+def splat_convert(source: str | Path, out: str | PathLike[str]) -> WrittenSplat:
     """Write the Gaussians of a file or of a built-in scene.
 
     Args:
@@ -46,12 +49,13 @@ def splat_convert(source: str | Path, out: Path) -> WrittenSplat:
     """
     from nw_splat.files.convert import write_new
 
+    out = as_path(out)
     return write_new(out, _gaussians(source))
 
 
 def splat_render(
     source: str,
-    out: Path,
+    out: str | PathLike[str],
     *,
     size: tuple[int, int] = (640, 360),
     up: UpAxis = "-y",
@@ -89,6 +93,7 @@ def splat_render(
     from nw_sim import catalogue
     from nw_splat import portrait
 
+    out = as_path(out)
     portrait.check(out, eye, target)
     gaussians = _gaussians(source)
     if catalogue.is_built_in(str(source)):

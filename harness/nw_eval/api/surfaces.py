@@ -22,6 +22,8 @@ from nw_base.plugins import installed, load, warn_if_built_in
 from nw_base.words import Tracker
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from nw_eval.api.reports import RunReport
 
 
@@ -67,11 +69,11 @@ class Reporter:
 class Surfaces:
     """Where to show a run; nowhere by default."""
 
-    junit: Path | None = None
+    junit: str | PathLike[str] | None = None
     """A file of JUnit XML."""
     github: bool = False
     """GitHub's runner, as the environment describes it: summary, outputs, annotations."""
-    comment: Path | None = None
+    comment: str | PathLike[str] | None = None
     """A file of Markdown, short enough for a comment on a pull request."""
     track: tuple[Tracker, ...] = ()
     """Trackers of experiments."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from nw_base.errors import StoreError, UsageError
 from nw_base.files.cache import made_place
+from nw_eval.api.paths import as_path
 from nw_eval.api.plans import plan
 from nw_eval.api.renamed import keywords_were
 from nw_eval.api.reports import judge
@@ -19,6 +20,8 @@ from nw_gate.results.request import Request
 from nw_sim.rollout.confined.start import prepare
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from nw_eval.engine.plan import Plan
     from nw_gate.sweep import AxisCurve
     from nw_sim.axes import SweptAxis
@@ -49,7 +52,7 @@ def sweep(
     request: Request,
     axes: Sequence[str],
     *,
-    out: Path | None = None,
+    out: str | PathLike[str] | None = None,
     baseline: str | None = None,
     confidence: float = 0.95,
     **how: Any,
@@ -76,6 +79,7 @@ def sweep(
     from nw_gate.sweep import curve_of
     from nw_sim.axes import axis_named
 
+    out = as_path(out)
     means = How.of(how, "workers", "cache", "listener")
     check_share(confidence)
     swept = _axes(axes)

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nw_base.errors import IncomparableError, UsageError
+from nw_eval.api.paths import as_path
 from nw_eval.api.renamed import keywords_were
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from os import PathLike
 
     from nw_eval.engine.plan import Forecast, Plan
     from nw_eval.suite import Suite
@@ -77,7 +79,7 @@ def plan_trials(
     detect: float | None = None,
     baseline: str | None = None,
     run: str | Path | None = None,
-    out: Path | None = None,
+    out: str | PathLike[str] | None = None,
     workers: int | None = None,
 ) -> TrialPlan | BarPlan:
     """Return how many trials it takes to flag a drop, and what else the suite's gate sees.
@@ -107,6 +109,7 @@ def plan_trials(
     from nw_eval.api.plans import plan
     from nw_eval.engine.how import check_workers
 
+    out = as_path(out)
     check_workers(workers)
     if baseline is not None and run is not None:
         raise UsageError("--baseline and --run exclude each other", fix="drop one of them")

@@ -11,10 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nw_base.errors import StoreError, UsageError
+from nw_eval.api.paths import as_path
 from nw_eval.api.renamed import keywords_were
 from nw_eval.engine.how import How
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from nw_gate.results.evidence_check import CheckedFiles
     from nw_sim.rollout.replaying.reports import Repeats
 
@@ -65,7 +68,7 @@ def verify(
     seed: int | None = None,
     root: str | None = None,
     policy: str | None = None,
-    checkpoint: Path | None = None,
+    checkpoint: str | PathLike[str] | None = None,
     allow_code: bool = False,
     **how: Any,
 ) -> VerifiedRun:
@@ -97,6 +100,7 @@ def verify(
     from nw_gate.results.request import Request
     from nw_gate.results.run_folder import RunFolder, open_run_folder
 
+    checkpoint = as_path(checkpoint)
     means = How.of(how, "workers", "listener")
     sample = str(trials)
     check_sample(sample)

@@ -19,10 +19,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from nw_base.errors import IncomparableError, PolicyError, StoreError, UsageError
 from nw_base.files.cache import made_place
 from nw_base.files.inside import regular
+from nw_eval.api.paths import as_path
 from nw_eval.api.renamed import keywords_were
 from nw_eval.engine.how import How
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     from nw_eval.api.reports import RunReport
     from nw_eval.api.surfaces import Surfaces
     from nw_gate.results.request import Request
@@ -127,7 +130,7 @@ def watch(
     once: bool = False,
     idle: float | None = None,
     interval: float = 5.0,
-    out: Path | None = None,
+    out: str | PathLike[str] | None = None,
     where: Surfaces | None = None,
     progress: Callable[[WatchedCheckpoint], None] | None = None,
     **changes: Any,
@@ -168,6 +171,7 @@ def watch(
     from nw_eval.api.surfaces import Surfaces
     from nw_gate.results.request import Request
 
+    out = as_path(out)
     folder = Path(folder)
     if not folder.is_dir():
         raise UsageError(

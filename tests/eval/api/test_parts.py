@@ -109,7 +109,6 @@ def test_the_matrix_is_one_line_that_a_runner_reads(project, monkeypatch, capsys
         '{"suite": "tiny.yaml", "shard": "3/3", "index": 3, "count": 3, "trials": 1}]}\n'
     )
     for words, why in (
-        (["--json"], "--json without --shards"),
         (["--trials", "3"], "--trials without --shards"),
         (["--shards", "2", "--out", "x.png"], "--out with --shards"),
         (["--shards", "5"], "--shards 5: the run has 4 trials; give a number from 1 to 4"),

@@ -1,5 +1,6 @@
 """Which checkpoint of a series fell first, by real trials in one scene."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from onnx import numpy_helper
 from nw_base.errors import IncomparableError, PolicyError, UsageError
 from nw_eval import api
 from nw_eval.api.series import _of_folders
-from nw_eval.cli.verbs.bisect import series_page
+from nw_eval.cli.verbs.bisect import series_json, series_page
 from nw_policies import load_bundle
 
 SUITE = """\
@@ -61,6 +62,11 @@ def test_the_first_checkpoint_that_fell_is_found_and_a_search_goes_on_where_it_w
     assert list(found.found.suspects) == [2]
     assert found.exit_code == 1
     assert found.trials <= 8, "what is as good as the bank costs nothing"
+    told = json.loads(series_json(found))
+    assert (told["first_flagged"], told["last_passed"]) == ("fourth.onnx", "third.onnx")
+    assert [each["verdict"] for each in told["checkpoints"]] == [
+        "PASS", "PASS", "REGRESSED", "REGRESSED",
+    ]  # fmt: skip
     page = series_page(found)
     interval = found.runs[2].verdict.against.interval
     assert (

@@ -104,6 +104,13 @@ def test_the_same_letter_and_the_same_word_stand_for_one_option_in_all_verbs():
     assert letters == {"-p": "--policy", "-n": "--trials", "-j": "--workers"}
 
 
+def test_every_option_that_names_a_policy_has_its_letter():
+    options = [(name, option) for name, form in forms() for option in options_of(form)]
+    named = [(name, option) for name, option in options if "--policy" in option.flags]
+    assert len(named) > 10
+    assert [name for name, option in named if "-p" not in option.flags] == []
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -302,6 +309,21 @@ def test_doctor_says_what_there_is_as_text_and_as_json(capsys):
     assert found["kernels"] == list(warm_kernels())
     assert found["processor"]["usable"] <= found["processor"]["affinity"]
     assert {"numpy", "torch", "openblas"} <= set(found["versions"])
+
+
+def test_doctor_runs_from_a_folder_that_is_not_installed(capsys, monkeypatch):
+    def absent(name):
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "distribution", absent)
+    monkeypatch.setattr(metadata, "version", absent)
+    assert ends(*["doctor"]) == 0
+    text = capsys.readouterr().out
+    assert re.search(r"^extras +unknown$", text, re.MULTILINE)
+    warned = re.findall(r"^warning +(.+)$", text, re.MULTILINE)
+    assert any(each.startswith("nw-eval runs from a folder") for each in warned)
+    assert ends(*["doctor", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["extras"] == {}
 
 
 def test_doctor_names_what_is_broken_and_ends_with_4(tmp_path, capsys, monkeypatch):

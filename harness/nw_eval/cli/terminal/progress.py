@@ -9,10 +9,12 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Concatenate, ParamSpec, Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
+from rich.text import Text
 
 from nw_base.clean import clean
 from nw_eval.cli.terminal.last_words import tell, unforeseen
+from nw_eval.cli.terminal.time_left import TimeLeft
 
 if TYPE_CHECKING:
     from nw_gate.results.row import Row
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 _P = ParamSpec("_P")
 
 _LOG_EVERY = 10.0  # Seconds between two lines where there is no terminal.
+_TRIALS = "trials"
 
 
 def _harmless(
@@ -39,6 +42,22 @@ def _harmless(
     return try_to
 
 
+class _TimeLeftColumn(ProgressColumn):
+    """The time that the trials still take, renewed twice a second; nothing for other bars."""
+
+    max_refresh = 0.5
+
+    def __init__(self, left: TimeLeft) -> None:
+        super().__init__()
+        self._left = left
+
+    def render(self, task: Task) -> Text:
+        """Return the column's text for a bar."""
+        if task.description != _TRIALS or task.total is None:
+            return Text()
+        return Text(self._left.in_words(round(task.total - task.completed)))
+
+
 class RunProgress:
     """Listens to `api.run`: scene building, then trials with their rate and success so far.
 
@@ -49,11 +68,12 @@ class RunProgress:
     def __init__(self, *, bars: bool = True) -> None:
         self.is_broken = False
         self._console = Console(stderr=True)
+        self._left = TimeLeft()
         self._bars = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
             TextColumn("{task.fields[note]}"),
-            TimeRemainingColumn(),
+            _TimeLeftColumn(self._left),
             console=self._console,
             transient=True,
             disable=not (bars and self._console.is_terminal),
@@ -107,10 +127,11 @@ class RunProgress:
         self._total, self._done = total, finished
         self._began = self._last_line_at = time.perf_counter()
         self._fresh, self._errors, self._successes = 0, 0, []
-        if "trials" in self._tasks:  # The baseline's own, which ran first.
-            self._bars.remove_task(self._tasks["trials"])
-        self._tasks["trials"] = self._bars.add_task(
-            "trials", total=total, completed=finished, note=""
+        self._left.restart()
+        if _TRIALS in self._tasks:  # The baseline's own, which ran first.
+            self._bars.remove_task(self._tasks[_TRIALS])
+        self._tasks[_TRIALS] = self._bars.add_task(
+            _TRIALS, total=total, completed=finished, note=""
         )
         if finished:
             self.message(f"resuming: {finished} of {total} trials are already finished")
@@ -120,6 +141,7 @@ class RunProgress:
         """Show one more finished trial."""
         self._done += 1
         self._fresh += 1
+        self._left.ended()
         if row.success is not None:
             self._successes.append(row.success)
         else:
@@ -130,9 +152,11 @@ class RunProgress:
             now = time.perf_counter()
             if now - self._last_line_at >= _LOG_EVERY or self._done == self._total:
                 self._last_line_at = now
-                self.message(f"{self._done}/{self._total} trials, {note}")
+                left = self._left.in_words(self._total - self._done)
+                words = (f"{self._done}/{self._total} trials", note, left)
+                self.message(", ".join(word for word in words if word))
         else:
-            self._bars.update(self._tasks["trials"], completed=self._done, note=note)
+            self._bars.update(self._tasks[_TRIALS], completed=self._done, note=note)
 
     def _note(self) -> str:
         minutes = max(time.perf_counter() - self._began, 1e-9) / 60.0

@@ -13,6 +13,7 @@ import tyro
 from nw_base.clean import clean
 from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.terminal.time_left import TimeLeft
 from nw_eval.cli.verbs.shared import AllowCode, Checkpoint, Workers
 
 if TYPE_CHECKING:
@@ -86,6 +87,7 @@ class Attribute:
         from nw_eval.api.attribution import AT_MOST
         from nw_eval.cli.terminal.last_words import tell
 
+        heard = _Heard()
         if self.out is not None:
             self._check_out(self.out)
         attribution = api.attribute(
@@ -96,8 +98,8 @@ class Attribute:
             trials=AT_MOST if self.trials is None else self.trials,
             workers=self.workers,
             allow_code=self.allow_code,
-            planned=lambda plan: tell(forecast_line(plan)),
-            ended=lambda trial: tell(trial_line(trial)),
+            planned=lambda plan: tell(heard.planned(plan)),
+            ended=lambda trial: tell(heard.ended(trial)),
         )
         print(attribution_page(attribution))
         if self.out is not None:
@@ -114,6 +116,27 @@ class Attribute:
 
         if out.suffix not in {".md", ".json"}:
             raise UsageError(f"--out {out} is neither .md nor .json", fix="give it one ending")
+
+
+class _Heard:
+    """Says what is to be done, then each trial's result and how long the others still take."""
+
+    def __init__(self) -> None:
+        self._left, self._open = TimeLeft(), 0
+
+    def planned(self, plan: AttributionPlan) -> str:
+        """Return the line before the first trial."""
+        self._open = plan.chosen
+        self._left.restart()
+        return forecast_line(plan)
+
+    def ended(self, trial: AttributedTrial) -> str:
+        """Return the line for a trial."""
+        self._open -= 1
+        self._left.ended()
+        left = self._left.in_words(self._open)
+        more = f" ({plural(self._open, 'trial')} to go, {left})" if left else ""
+        return f"{trial_line(trial)}{more}"
 
 
 _EVENTS = {

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.printed import Printed, json_text
 from nw_eval.cli.verbs.verb import Verb, verb_of
 from nw_eval.reporting.tables.table import bounds_header
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     listens=True,
     heard=lambda name, word: f"{name}: {word}",
 )
-class BisectSeries(Verb):
+class BisectSeries(Printed, Verb):
     """Find the first checkpoint of a series that is flagged as worse than a good one.
 
     CHECKPOINT is weights for the card of --policy, or policy folders, oldest first; or the folder
@@ -40,6 +41,54 @@ class BisectSeries(Verb):
 
     def show(self, found: BisectedSeries) -> str:
         return series_page(found)
+
+    def shown_json(self, found: BisectedSeries) -> str:
+        return series_json(found)
+
+
+def series_json(series: BisectedSeries) -> str:
+    """Return the checkpoints in order of age, and which was flagged first, as JSON."""
+    names, found = series.checkpoints, series.found
+    fallen, good = (None, None) if found is None else (found.first_fallen, found.last_good)
+    whole = {
+        "baseline": series.bank,
+        "first_flagged": None if fallen is None else names[fallen],
+        "last_passed": None if good is None else names[good],
+        "suspects": [] if found is None else [names[place] for place in found.suspects],
+        "passed_later": [] if found is None else [names[place] for place in found.recovered],
+        "checkpoints": [
+            {"checkpoint": name, **_facts(series.runs.get(place))}
+            for place, name in enumerate(names)
+        ],
+        "trials": series.trials,
+        "folder": series.folder,
+        "interrupted": found is None,
+        "exit_code": series.exit_code,
+    }
+    return json_text(whole)
+
+
+def _facts(run: RunReport | None) -> dict[str, Any]:
+    """Return what became of a checkpoint; its verdict is null where it was not judged."""
+    against = None if run is None else run.verdict.against
+    if run is None or against is None:
+        return {"verdict": None}
+    return {
+        "verdict": run.verdict.verdict,
+        "success": run.verdict.success,
+        "drop": against.drop,
+        "bounds": None if against.interval is None else list(against.interval),
+        "trials": len(run.rows),
+        "regressed_in": _regressed(run),
+        "run": run.typed_folder,
+    }
+
+
+def _regressed(run: RunReport) -> list[str]:
+    """Return the scenes and the scores in which a checkpoint is worse."""
+    against = run.verdict.against
+    named = [] if against is None else [scene.scene for scene in against.scenes if scene.named]
+    return named + [item.spec.name for item in run.verdict.scores if item.word == "REGRESSED"]
 
 
 def series_page(series: BisectedSeries) -> str:
@@ -66,9 +115,7 @@ def _cells(run: RunReport | None) -> tuple[str, str, str, str]:
     drop = "" if against.drop is None else f"{against.drop:.3f}"
     if against.interval is not None and against.trials:
         drop += f" ({against.interval.low:.2f} to {against.interval.high:.2f})"
-    named = [scene.scene for scene in against.scenes if scene.named]
-    named += [item.spec.name for item in run.verdict.scores if item.word == "REGRESSED"]
-    return run.verdict.verdict, drop, str(len(run.rows)), ", ".join(named)
+    return run.verdict.verdict, drop, str(len(run.rows)), ", ".join(_regressed(run))
 
 
 def _sentences(found: Bisection, series: BisectedSeries) -> list[str]:

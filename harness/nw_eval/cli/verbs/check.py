@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import tyro
 
 from nw_eval.cli.verbs.options import Options
+from nw_eval.cli.verbs.printed import json_text
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Forecast
@@ -24,12 +25,49 @@ class Check(Options):
 
     suite: tyro.conf.Positional[str] = field()
     """A suite file or a shipped suite's name (`nw-eval suites` lists them)."""
+    json: bool = False
+    """Print JSON."""
 
     def __call__(self) -> int:
         from nw_eval import api
 
-        print(forecast_page(api.check(self.request, workers=self.workers)))
+        forecast = api.check(self.request, workers=self.workers)
+        print(forecast_json(forecast) if self.json else forecast_page(forecast))
         return 0
+
+
+def forecast_json(forecast: Forecast) -> str:
+    """Return what a run would be as JSON."""
+    suite, bundle = forecast.suite, forecast.policy
+    found = {
+        "suite": suite.name,
+        "file": suite.source.file,
+        "suite_digest": suite.content_digest,
+        "seed_set": suite.digest,
+        "protocol": suite.protocol,
+        "robot": suite.robot,
+        "seed": suite.seed,
+        "duration": suite.episode.duration,
+        "gate": suite.gate,
+        "policy": bundle.name,
+        "adapter": bundle.card.adapter,
+        "origin": bundle.origin,
+        "observations": {
+            name: {"sensor": spec.sensor, "rate": spec.rate}
+            for name, spec in bundle.card.observations.items()
+        },
+        "baseline": forecast.baseline,
+        "trials": forecast.trials,
+        "scenes": forecast.scenes,
+        "left_out": forecast.left_out,
+        "shard": None if forecast.shard is None else str(forecast.shard),
+        "power": forecast.power,
+        "obstacles": forecast.obstacles,
+        "warnings": forecast.warnings,
+        "workers": forecast.workers,
+        "minutes": forecast.minutes,
+    }
+    return json_text(found)
 
 
 def forecast_page(forecast: Forecast) -> str:

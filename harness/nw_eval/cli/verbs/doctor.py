@@ -58,7 +58,7 @@ def checkup_page(found: Checkup) -> str:
     rows.append(("kernels", compiled))
     rows.append(("GPU", ", ".join(found.gpus) or "none seen; only `run --render cuda` uses one"))
     installed = [extra for extra, unmet in found.extras.items() if not unmet]
-    rows.append(("extras", ", ".join(installed) or "none"))
+    rows.append(("extras", ", ".join(installed) or ("none" if found.extras else "unknown")))
     rows += [
         ("  missing", f"{extra}: {USES[extra]} (needs {', '.join(unmet)})")
         for extra, unmet in found.extras.items()

@@ -11,6 +11,7 @@ import tyro
 
 from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.printed import json_text
 from nw_eval.cli.verbs.shared import Scenes, Suite
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ class PlanTrials:
     shards: int | None = None
     """Split a run into this many shards."""
     json: bool = False
-    """With --shards: print the JSON of a GitHub matrix, in one line."""
+    """Print JSON; with --shards a GitHub matrix, in one line."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """With --shards, as the next two: a policy's name, folder or card (default: the suite's
     policy)."""
@@ -66,10 +67,10 @@ class PlanTrials:
         """
         from nw_base.errors import UsageError
 
-        of_parts = ("json", "policy", "trials", "scenes")
+        of_parts = ("policy", "trials", "scenes")
         of_curve = ("detect", "run", "out")
         for name in of_parts if self.shards is None else of_curve:
-            if getattr(self, name) not in {None, False}:
+            if getattr(self, name) is not None:
                 without = "without" if self.shards is None else "with"
                 raise UsageError(f"--{name} {without} --shards", fix=f"drop --{name}")
 
@@ -100,10 +101,10 @@ class PlanTrials:
             workers=self.workers,
         )
         if isinstance(planned, api.BarPlan):
-            print(bar_plan_page(planned))
+            print(bar_plan_json(planned) if self.json else bar_plan_page(planned))
             return 0
-        print(trial_plan_page(planned))
-        if self.out is not None:
+        print(trial_plan_json(planned) if self.json else trial_plan_page(planned))
+        if self.out is not None and not self.json:
             print(f"drawn in {self.out}")
         return 0
 
@@ -133,6 +134,46 @@ def bar_plan_page(planned: BarPlan) -> str:
         "Simulated, 2,000 runs each: the standard error of a share is at most 1.1 %.",
     ]
     return "\n".join(lines)
+
+
+def bar_plan_json(planned: BarPlan) -> str:
+    """Return what a bar takes as JSON: of each true success, how often it passes at each size."""
+    curve = [{"success": truth, "passed": shares} for truth, shares in planned.curve]
+    return json_text({**vars(planned), "curve": curve})
+
+
+def trial_plan_json(planned: TrialPlan) -> str:
+    """Return a plan of trials as JSON; a number of trials that is never enough is null."""
+    from nw_gate.stats.bank.curve import trials_for
+
+    outset = planned.outset
+    margins = outset.rules.margins
+    found = {
+        "suite": planned.suite,
+        "source": planned.source,
+        "success": outset.baseline,
+        "initial_states": outset.starts,
+        "scenes": outset.scenes,
+        "most_trials": outset.budget,
+        "max_drop": margins.max_drop,
+        "tolerate": margins.tolerate,
+        "detect": planned.detect,
+        "flagged_within": {x: trials_for(planned.dropped.regressed, x) for x in _CHANCES},
+        "equal_passes_within": {x: trials_for(planned.equal.passed, x) for x in _CHANCES},
+        "curve": [
+            {
+                "drop": point.drop,
+                "regressed": point.regressed,
+                "passed": point.passed,
+                "undecided": point.undecided,
+                "trials": point.trials,
+                "minutes": planned.minutes(point.trials),
+            }
+            for point in planned.curve
+        ],
+        "scores": planned.scores,
+    }
+    return json_text(found)
 
 
 def trial_plan_page(planned: TrialPlan) -> str:
@@ -216,7 +257,7 @@ def _trials(planned: TrialPlan, trials: int) -> str:
 
 
 def _curve(planned: TrialPlan) -> list[str]:
-    rows = [("drop", "REGRESSED", "PASS", "undecided", "trials", "minutes")]
+    rows = [("drop", "REGRESSED", "PASS", "undecided", "trials", "about min")]
     for point in planned.curve:
         shares = (f"{100 * x:.0f} %" for x in (point.regressed, point.passed, point.undecided))
         regressed, passed, undecided = shares
@@ -230,7 +271,7 @@ def _curve(planned: TrialPlan) -> list[str]:
 def shard_page(planned: ShardPlan) -> str:
     """Return the parts as lines of text: what to type for each, and about what it takes."""
     count = len(planned.parts)
-    rows = [("shard", "trials", "minutes")]
+    rows = [("shard", "trials", "about min")]
     rows += [
         (f"--shard {index}/{count}", str(part.trials), f"{part.minutes:.1f}")
         for index, part in enumerate(planned.parts, start=1)

@@ -27,6 +27,11 @@ def json_text(value: Any) -> str:
     return jsons.dumps(_plain(value), indent=2, allow_nan=False)
 
 
+def json_line(value: Any) -> str:
+    """Return a result as JSON in one line."""
+    return jsons.dumps(_plain(value), allow_nan=False)
+
+
 def judged_json(judged: RunReport, code: int) -> str:
     """Return a verdict and where its evidence lies as JSON.
 

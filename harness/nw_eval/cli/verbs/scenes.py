@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -48,7 +48,7 @@ class Check(Printed, Verb):
     """
 
     out: Path | None
-    policy: str | None = None
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """With --out: the policy of the suite (default: one that has a card for the robot)."""
 
     def more(self) -> dict[str, Any]:

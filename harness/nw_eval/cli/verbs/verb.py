@@ -24,6 +24,7 @@ import inspect
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from os import PathLike
 from pathlib import Path
 from types import MappingProxyType, NoneType, UnionType
 from typing import (
@@ -104,7 +105,7 @@ class Verb:
         from nw_eval.cli.terminal.progress import RunProgress
 
         with RunProgress() as progress:
-            if heard is not None:
+            if heard is not None and "progress" not in values:
                 values["progress"] = lambda *each: progress.message(heard(*each))
             return getattr(api, function)(listener=progress, **values)
 
@@ -240,18 +241,23 @@ def _hints_of(known: Any, names: Sequence[str]) -> dict[str, Any]:
     """
     annotated = {name: known.__annotations__[name] for name in names}
     room = vars(inspect.getmodule(known))
-    scope = {**vars(words), "Path": Path, "Sequence": Sequence, **room}
+    common = {"Path": Path, "PathLike": PathLike, "Sequence": Sequence}
+    scope = {**vars(words), **common, **room}
     return get_type_hints(type("Hints", (), {"__annotations__": annotated}), scope)
 
 
 def _plain(hint: Any) -> Any:
-    """Return the type of an option: a text where a path or a number would do, too."""
+    """Return the type of an option: a text where a path or a number would do, too.
+
+    A file that Python takes as text or as `PathLike` is a path.
+    """
     if get_origin(hint) is Sequence:
         return tuple[_plain(get_args(hint)[0]), ...]
     kinds = get_args(hint) if get_origin(hint) in {Union, UnionType} else ()
     if str not in kinds:
         return hint
-    return str | None if NoneType in kinds else str
+    one: Any = Path if PathLike[str] in kinds else str
+    return one | None if NoneType in kinds else one
 
 
 def _sentences(known: Callable[..., Any]) -> dict[str, str]:

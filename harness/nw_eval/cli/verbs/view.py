@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -36,7 +36,7 @@ class ViewTrials:
     """Trial of a run to show first, by its name in the report."""
     at: float = 0.0
     """Second of the trial to show first."""
-    policy: str | None = None
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """Policy to run live (default: go1-parkour, if --scene is given)."""
     scene: str | None = None
     """Scene to run it in (default: hurdles/one_low_carpet, if --policy is given)."""

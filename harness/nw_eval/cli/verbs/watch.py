@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 import tyro
 
 from nw_base.plural import plural
+from nw_eval.cli.verbs.printed import json_line
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
@@ -56,15 +57,25 @@ class Watch(Verb):
         tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TRACKER[,TRACKER]")
     ] = ()
     """Send scores by training step to trackers: wandb, mlflow, tensorboard."""
+    json: bool = False
+    """Print a JSON object in a line of its own for each checkpoint, as soon as it is judged."""
 
     def more(self) -> dict[str, Any]:
         from nw_eval import api
 
         words = [word.strip() for word in ",".join(self.track).split(",") if word.strip()]
         track = cast("tuple[Tracker, ...]", tuple(dict.fromkeys(words)))
-        return {"where": api.Surfaces(track=track)}
+        heard = {"progress": _print_line} if self.json else {}
+        return {"where": api.Surfaces(track=track), **heard}
 
     def show(self, found: WatchedTraining) -> str:
         best = "none has a result" if found.best is None else f"best: {found.best.name}"
         last = f"{plural(len(found.checkpoints), 'checkpoint')}; {best}; page: {found.page}"
         return "\n".join([*map(checkpoint_line, found.checkpoints), last])
+
+    def shown_json(self, found: WatchedTraining) -> str:  # noqa: ARG002
+        return ""  # Each checkpoint has had its line.
+
+
+def _print_line(made: WatchedCheckpoint) -> None:
+    print(json_line(made), flush=True)
