@@ -44,7 +44,7 @@ from nw_base.files.inside import bounded_bytes, what_is
 from nw_base.plural import plural
 from nw_base.words import PanelKind, Tier
 from nw_gate.absolute import by_scene, courses
-from nw_gate.results.bank import trajectory
+from nw_gate.results.baseline import trajectory
 from nw_gate.results.provenance import BaselineInfo, RunInfo
 from nw_gate.results.row import Row
 from nw_gate.results.seal import seal, unseal
@@ -126,7 +126,7 @@ class LedgerEntry(_Line):
     tiers: dict[str, Tier] = Field(default_factory=dict[str, Tier])
     """Of all scenes that were judged, by name; empty: an older nw-eval, which did not write it."""
     trajectories: dict[str, str] = Field(default_factory=dict[str, str], max_length=10_000)
-    """Some of the trials: `nw_gate.results.bank.trajectory` by a digest of the start."""
+    """Some of the trials: `nw_gate.results.baseline.trajectory` by a digest of the start."""
     baseline: BaselineEntry | None = None
     scores: dict[str, tuple[float | None, float | None, float, float]] = Field(
         default_factory=dict[str, tuple[float | None, float | None, float, float]]
@@ -172,7 +172,7 @@ def _entry_of(
     rows: Sequence[Row],
     *,
     time: datetime,
-    bank: BaselineInfo | None = None,
+    baseline: BaselineInfo | None = None,
 ) -> LedgerEntry:
     """Return what a ledger keeps of a verdict.
 
@@ -181,7 +181,7 @@ def _entry_of(
         run: what it is on.
         rows: that it rests on.
         time: when it was given, with its time zone.
-        bank: that the run was compared with; the one that it was begun against if None.
+        baseline: that the run was compared with; the one that it was begun against if None.
     """
     who = f"{run.policy.checkpoint_digest}/{run.policy.card_digest}"
     seen = courses(by_scene(rows, run.planned), verdict.per_scene, verdict.left)
@@ -204,7 +204,7 @@ def _entry_of(
         ),
         tiers={item.scene: item.tier for item in verdict.per_scene},
         trajectories=_trajectories(rows, run.suite_digest),
-        baseline=_baseline(verdict, bank or run.baseline),
+        baseline=_baseline(verdict, baseline or run.baseline),
         scores={
             item.spec.name: (item.bar, item.max_drop, item.spec.low, item.spec.high)
             for item in verdict.scores
@@ -228,13 +228,13 @@ def _trajectories(rows: Sequence[Row], suite_digest: str) -> dict[str, str]:
     return dict(sorted(found.items())[:_MOST_TRAJECTORIES])
 
 
-def _baseline(verdict: Verdict, bank: BaselineInfo | None) -> BaselineEntry | None:
+def _baseline(verdict: Verdict, baseline: BaselineInfo | None) -> BaselineEntry | None:
     found = verdict.against
     if found is None:
         return None
     return BaselineEntry(
-        bank=found.bank,
-        digest="" if bank is None else bank.sha256,
+        bank=found.baseline_name,
+        digest="" if baseline is None else baseline.sha256,
         basis=found.basis,
         word=found.word,
         trials=found.trials,
@@ -281,7 +281,7 @@ def append_verdict(
     run: RunInfo,
     rows: Sequence[Row],
     *,
-    bank: BaselineInfo | None = None,
+    baseline: BaselineInfo | None = None,
 ) -> LedgerEntry:
     """Add a verdict that was just given to a ledger.
 
@@ -290,12 +290,12 @@ def append_verdict(
         verdict: that was given.
         run: what it is on.
         rows: that it rests on.
-        bank: that the run was compared with; the one that it was begun against if None.
+        baseline: that the run was compared with; the one that it was begun against if None.
 
     Raises:
         StoreError: the ledger is damaged, or cannot be written.
     """
-    entry = _entry_of(verdict, run, rows, time=datetime.now(tz=UTC), bank=bank)
+    entry = _entry_of(verdict, run, rows, time=datetime.now(tz=UTC), baseline=baseline)
     append_entry(path, entry)
     return entry
 

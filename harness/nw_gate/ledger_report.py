@@ -11,7 +11,7 @@ from statistics import fmean
 
 from nw_base.words import PanelKind
 from nw_gate.ledger import LedgerEntry
-from nw_gate.stats.bank.trials import most_false_alarms
+from nw_gate.stats.baseline.trials import most_false_alarms
 from nw_gate.stats.power import luck_of_the_best
 from nw_gate.verdict import Word
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_base.errors import IncomparableError, UsageError, nearest
-from nw_gate.results.bank import BankKey, BaselineResults, Panel, Start, key_of
+from nw_gate.results.baseline import BaselineKey, BaselineResults, Panel, Start, key_of
 from nw_gate.results.column import Settings
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.real import RealResult
@@ -52,7 +52,7 @@ class Entrant:
     """The run or baseline as it was named."""
     suite: str
     policy: str
-    key: BankKey
+    key: BaselineKey
     results: Mapping[StartName, Row | Start]
     """Of the trials that came to one."""
     scores: Mapping[str, ScoreSpec] = field(default_factory=dict[str, ScoreSpec])
@@ -71,15 +71,17 @@ def entrant_of_run(source: str, run: RunInfo, rows: Iterable[Row]) -> Entrant:
     )
 
 
-def entrant_of_bank(source: str, bank: BaselineResults, panel: Panel) -> Entrant:
+def entrant_of_baseline(source: str, baseline: BaselineResults, panel: Panel) -> Entrant:
     """Return what a baseline compares with, on one class of machine."""
     return Entrant(
         source=source,
-        suite=bank.manifest.suite,
-        policy=bank.manifest.policy.name,
-        key=bank.manifest.key,
+        suite=baseline.manifest.suite,
+        policy=baseline.manifest.policy.name,
+        key=baseline.manifest.key,
         results=_named(panel.starts),
-        scores={name: cls.spec for name, cls in BUILT_IN.items() if name in bank.manifest.scores},
+        scores={
+            name: cls.spec for name, cls in BUILT_IN.items() if name in baseline.manifest.scores
+        },
     )
 
 

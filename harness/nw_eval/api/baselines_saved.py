@@ -19,7 +19,7 @@ from nw_eval.engine.how import How
 
 if TYPE_CHECKING:
     from nw_eval.api.baselines import Here
-    from nw_gate.results.bank import BaselineChange, BaselineResults
+    from nw_gate.results.baseline import BaselineChange, BaselineResults
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
 
@@ -36,7 +36,7 @@ class SavedBaseline:
     """new: there was none. panel: it has this machine type now, too. unchanged: it had all of
     this. renewed: it was replaced. kept: it would hold for something else, or say something else,
     and is unchanged, because no renewal was asked for."""
-    bank: BaselineResults
+    baseline: BaselineResults
     """The baseline that is there now; for `kept` the one that would be."""
     change: BaselineChange | None = None
     """What differs from the one that was there."""
@@ -91,7 +91,7 @@ def save_baseline(
     """
     from nw_eval.api.baselines import card_reference, here
     from nw_eval.suite import load_suite
-    from nw_gate.results.bank_file import bank_of_run
+    from nw_gate.results.baseline_file import baseline_of_run
 
     if trials is not None and trials < 1:
         raise UsageError(f"--trials {trials} is too low", fix="give at least 1")
@@ -113,11 +113,11 @@ def save_baseline(
         scenes = len(place.plan.scenes) * len(place.plan.suite.perturb.cells)
         starts = trials or (earlier.manifest.starts if earlier else starts_for(scenes))
         if earlier is not None and not renew and place.is_in(earlier, starts):
-            return SavedBaseline(file=file, action="unchanged", bank=earlier)
+            return SavedBaseline(file=file, action="unchanged", baseline=earlier)
         info, rows = _new_results(place.with_starts(starts), how)
     assert info is not None, "results are of a run, new or finished"
     _check_seen(rows, info)
-    found = bank_of_run(
+    found = baseline_of_run(
         rows,
         info,
         name=file.stem,
@@ -169,11 +169,11 @@ def _file(root: Path | None, suite: str, name: str) -> Path:
     Raises:
         UsageError: its name is none.
     """
-    from nw_gate.results.bank_file import BANKS, SUFFIX, fault_of_name
+    from nw_gate.results.baseline_file import BASELINES_FOLDER, SUFFIX, fault_of_name
 
     if fault := fault_of_name(name):
         raise UsageError(f"a baseline's name: {fault}", fix="give another with --name")
-    return (root or BANKS) / suite / (name + SUFFIX)
+    return (root or BASELINES_FOLDER) / suite / (name + SUFFIX)
 
 
 def _earlier(file: Path, *, renew: bool) -> BaselineResults | None:
@@ -182,10 +182,10 @@ def _earlier(file: Path, *, renew: bool) -> BaselineResults | None:
     Raises:
         StoreError, IncomparableError: it cannot be read, and is not to be replaced.
     """
-    from nw_gate.results.bank_file import read_bank
+    from nw_gate.results.baseline_file import read_baseline
 
     try:
-        return read_bank(file) if file.exists() else None
+        return read_baseline(file) if file.exists() else None
     except (StoreError, IncomparableError):
         if not renew:
             raise
@@ -202,24 +202,24 @@ def _written(
 ) -> SavedBaseline:
     """Write a baseline unless it would silently become another one."""
     from nw_base.files.cache import followed
-    from nw_gate.results.bank import bank_change
-    from nw_gate.results.bank_file import with_panel, write_bank
+    from nw_gate.results.baseline import baseline_change
+    from nw_gate.results.baseline_file import with_panel, write_baseline
 
     if earlier is None:
-        write_bank(followed(file), found)
-        return SavedBaseline(file=file, action="new", bank=found)
-    change = bank_change(earlier, found)
+        write_baseline(followed(file), found)
+        return SavedBaseline(file=file, action="new", baseline=found)
+    change = baseline_change(earlier, found)
     known = earlier.panel_of(found.panels[0].machine)
     if not change.fields and known == found.panels[0]:
-        return SavedBaseline(file=file, action="unchanged", bank=earlier)
+        return SavedBaseline(file=file, action="unchanged", baseline=earlier)
     if not renew and not change.fields and known is None:
         whole = with_panel(earlier, found)
-        write_bank(followed(file), whole)
-        return SavedBaseline(file=file, action="panel", bank=whole, change=change)
+        write_baseline(followed(file), whole)
+        return SavedBaseline(file=file, action="panel", baseline=whole, change=change)
     if not renew:
-        return SavedBaseline(file=file, action="kept", bank=found, change=change)
-    write_bank(followed(file), found)
-    return SavedBaseline(file=file, action="renewed", bank=found, change=change)
+        return SavedBaseline(file=file, action="kept", baseline=found, change=change)
+    write_baseline(followed(file), found)
+    return SavedBaseline(file=file, action="renewed", baseline=found, change=change)
 
 
 def _new_results(place: Here, how: How) -> tuple[RunInfo, tuple[Row, ...]]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from nw_eval.api.baselines import Here
-    from nw_gate.results.bank import BaselineResults
+    from nw_gate.results.baseline import BaselineResults
     from nw_gate.results.row import Row
 
 SHARE = "10%"
@@ -28,7 +28,7 @@ class VerifiedBaseline:
     """What starts of a baseline came to when its own policy ran them again."""
 
     file: Path
-    bank: BaselineResults
+    baseline: BaselineResults
     seed: int
     """Drew the starts: an int of 48 bits."""
     drawn: int
@@ -91,26 +91,26 @@ def verify_baseline(
     sample = SHARE if trials is None else str(trials)
     check_sample(sample)
     shown = show_baseline(baseline, suite=None if suite is None else load_suite(suite).name)
-    bank, own = shown.bank, shown.bank.manifest.policy
+    saved, own = shown.baseline, shown.baseline.manifest.policy
     if policy is None and _is_here(own.card or own.name):
         policy = own.card or own.name
     # Else the suite's own policy is taken: whether it is the baseline's, its digests tell.
-    place = here(suite or bank.manifest.suite, policy=policy, **changes)
-    place = place.held_out() if bank.manifest.held_out else place
-    place = place.with_starts(bank.manifest.starts)
-    _check(bank, place)
+    place = here(suite or saved.manifest.suite, policy=policy, **changes)
+    place = place.held_out() if saved.manifest.held_out else place
+    place = place.with_starts(saved.manifest.starts)
+    _check(saved, place)
     seed = unforeseen_seed() if seed is None else seed
     names = draw([trial.id for trial in place.plan.trials], sample, seed)
     rows, interrupted = _run(place, names, how)
     done = [row for row in rows if row.status == "ok"]
     return VerifiedBaseline(
         file=shown.file,
-        bank=bank,
+        baseline=saved,
         seed=seed,
         drawn=len(names),
         ran=len(done),
-        has_panel=bank.panel_of(place.machine) is not None,
-        differing=_differing(done, bank, place.machine),
+        has_panel=saved.panel_of(place.machine) is not None,
+        differing=_differing(done, saved, place.machine),
         faults=tuple(
             f"{row.trial_id}: {row.error_type}: {row.error_text}"
             for row in rows
@@ -120,22 +120,22 @@ def verify_baseline(
     )
 
 
-def _check(bank: BaselineResults, place: Here) -> None:
+def _check(baseline: BaselineResults, place: Here) -> None:
     """Refuse a baseline of something else.
 
     Raises:
         IncomparableError: suite, scenes, simulator or policy are others.
     """
-    from nw_gate.results.bank import key_changes, policy_changes
+    from nw_gate.results.baseline import key_changes, policy_changes
 
     changes = (
-        *key_changes(bank.manifest.key, place.key),
-        *policy_changes(bank.manifest.policy, place.policy),
+        *key_changes(baseline.manifest.key, place.key),
+        *policy_changes(baseline.manifest.policy, place.policy),
     )
     if changes:
         named = ", ".join(f"{each.part} {each.name} {each.then} -> {each.now}" for each in changes)
         raise IncomparableError(
-            f"baseline {bank.manifest.name} cannot be verified here: {named}",
+            f"baseline {baseline.manifest.name} cannot be verified here: {named}",
             fix="name its suite with --suite and its policy with --policy, or renew it",
         )
 
@@ -173,9 +173,9 @@ def _is_here(reference: str) -> bool:
 
 
 def _differing(
-    rows: Sequence[Row], bank: BaselineResults, machine: dict[str, str]
+    rows: Sequence[Row], baseline: BaselineResults, machine: dict[str, str]
 ) -> tuple[str, ...]:
     """Return what differs from the results that a run on a machine type is compared with."""
     from nw_gate.baseline.match import differences
 
-    return differences(rows, bank.panel_of(machine) or bank.panels[0])
+    return differences(rows, baseline.panel_of(machine) or baseline.panels[0])

@@ -21,7 +21,7 @@ from nw_base.errors import IncomparableError, PolicyError, TrialError
 from nw_base.files.inside import what_is
 from nw_base.plural import plural
 from nw_base.protocol import PROTOCOLS
-from nw_eval.api.banks import control_rows
+from nw_eval.api.loaded_baselines import control_rows
 from nw_eval.api.plans import rechecks
 from nw_eval.engine.machine import worker_count
 from nw_eval.engine.rounds import RunStanding
@@ -29,7 +29,7 @@ from nw_eval.engine.session import Session, stop_of
 from nw_gate.absolute import word_of_bar
 from nw_gate.baseline.judge import setup_of
 from nw_gate.baseline.match import contradictions, is_baseline, recheck, renewing
-from nw_gate.results.bank import ControlArm, machine_of, trajectory
+from nw_gate.results.baseline import ControlArm, machine_of, trajectory
 from nw_gate.results.provenance import StopInfo
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_gate.baseline.finding import Finding
     from nw_gate.baseline.judge import ComparisonSetup
-    from nw_gate.results.bank import Against, Stratum
+    from nw_gate.results.baseline import Against, Stratum
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
     from nw_gate.verdict import Word
@@ -143,7 +143,7 @@ class Contest:
         if beside.is_interrupted:
             return run.model_copy(update={"interrupted": True})
         self._against = replace(self._against, control=beside.control)
-        alike = self._plan.panel == "pinned" and beside.looks_like_the_bank()
+        alike = self._plan.panel == "pinned" and beside.has_the_baselines_results()
         if isinstance(alike, tuple):
             known = self._against.info.model_copy(update={"moved": alike})
             return run.model_copy(update={"baseline": known, "stop": StopInfo(first=0)})
@@ -222,7 +222,7 @@ class Contest:
         if missing := tuple(x for x in range(first) if x not in ended):
             return RunStanding(first=first, ahead=missing)
         rows = [ended[x] for x in range(first)]
-        again = recheck(rows, setup.run, setup.bank)
+        again = recheck(rows, setup.run, setup.results)
         if any(row.status == "error" for row in rows) or again.equal or again.differing:
             return RunStanding(first=first)
         try:
@@ -246,9 +246,9 @@ class Contest:
 
     def _is_seen(self, run: RunInfo) -> bool:
         """Whether nothing of the baseline need be run on this machine."""
-        if self._against.bank.panel_of(machine_of(run)) is not None:
+        if self._against.results.panel_of(machine_of(run)) is not None:
             return True
-        return is_baseline(run.policy, self._against.bank)
+        return is_baseline(run.policy, self._against.results)
 
 
 def _names(strata: Iterable[Stratum]) -> tuple[str, ...]:
@@ -370,15 +370,15 @@ class Beside:
             nested = self._session.folder
             self._control = ControlArm(run=own, rows=control_rows(nested, own, self._folder))
 
-    def looks_like_the_bank(self) -> bool | tuple[str, ...]:
+    def has_the_baselines_results(self) -> bool | tuple[str, ...]:
         """Return whether the trials so far have the baseline's bits; sentences where they do not.
 
         Only a candidate on the baseline's own starts can be asked.
         """
         assert self._control is not None, "something has run"
-        bank, rows = self._against.bank, self._control.rows
-        panel = bank.panels[0]
-        if wrong := contradictions(rows, bank, panel):
+        baseline, rows = self._against.results, self._control.rows
+        panel = baseline.panels[0]
+        if wrong := contradictions(rows, baseline, panel):
             return wrong
         return all(
             trajectory(row)
@@ -396,7 +396,7 @@ def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
     from nw_policies import find_card, load_bundle
     from nw_sim.rollout.confined.vetting import vet_bundle
 
-    own = against.bank.manifest.policy
+    own = against.results.manifest.policy
     reference = plan.request.baseline_policy or own.card or own.name
     try:
         bundle = vet_bundle(
@@ -422,5 +422,5 @@ def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
         f"baseline {against.info.name} has no results for this machine type, and its policy "
         f"{own.name} cannot be run on it: {fault}",
         fix="name its card with --baseline-policy PATH, or save the baseline on this machine: "
-        f"`{renewing(run, against.bank)}`",
+        f"`{renewing(run, against.results)}`",
     )

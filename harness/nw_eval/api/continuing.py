@@ -30,7 +30,7 @@ def continued(run: Path, request: Request) -> Plan:
         IncomparableError: its run.json does not say what was asked for.
         UsageError, SuiteError, PolicyError: as `plan_of`.
     """
-    from nw_eval.api.banks import resumed_bank
+    from nw_eval.api.loaded_baselines import resumed_baseline
     from nw_eval.api.plans import plan_of
     from nw_eval.suite import draft_of, draft_suite
     from nw_gate.results.journal import has_begun
@@ -61,7 +61,7 @@ def continued(run: Path, request: Request) -> Plan:
     draft = None if request.suite is None else draft_suite(request.suite)
     if draft is not None and draft.suite is not None and has_begun(folder.journal):
         _check_gate(run, suite, draft.suite)
-    against = resumed_bank(folder, info, suite, request)
+    against = resumed_baseline(folder, info, suite, request)
     if draft is not None:
         card = None if whole.policy is None or request.policy is not None else _card(info)
         own = info.own_policy if request.policy is None else None

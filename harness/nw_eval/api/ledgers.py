@@ -29,7 +29,7 @@ def record_verdict(judged: RunReport, ledger: str | Path) -> Path:
 
     check_whole(judged.info)
 
-    append_verdict(Path(ledger), judged.verdict, judged.info, judged.rows, bank=judged.bank)
+    append_verdict(Path(ledger), judged.verdict, judged.info, judged.rows, baseline=judged.baseline)
     return Path(ledger)
 
 

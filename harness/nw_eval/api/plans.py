@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from nw_base.clean import clean
 from nw_base.errors import NwEvalError, Problem, SuiteError, UsageError, nearest
-from nw_eval.api.banks import check_rounds, wanted_bank
+from nw_eval.api.loaded_baselines import check_rounds, wanted_baseline
 from nw_eval.engine.how import How
 from nw_gate.results.request import Request
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from nw_base.words import Arm, Collision
     from nw_eval.engine.plan import Forecast, Plan
     from nw_eval.suite import Draft, Suite, Trial
-    from nw_gate.results.bank import Against, Stratum
+    from nw_gate.results.baseline import Against, Stratum
     from nw_gate.results.provenance import PolicyInfo
     from nw_policies import Bundle
     from nw_scenes import Scene
@@ -113,7 +113,7 @@ def plan_of(
     with ThreadPoolExecutor(max_workers=1) as beside:
         read = None
         if suite is not None and against is None:
-            read = beside.submit(wanted_bank, request, suite, own_policy=own_policy)
+            read = beside.submit(wanted_baseline, request, suite, own_policy=own_policy)
         found = open_scenes(draft, faults, request.collision)
         for place in found:
             _ = place.scene.digest  # Kept; what looks at the policy is still starting.
@@ -290,7 +290,7 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
 
     assert plan.against is not None, "a baseline policy's plan has a baseline"
     count, against = rechecks(plan.request), plan.against
-    starts = against.bank.manifest.starts
+    starts = against.results.manifest.starts
     strata = _strata(plan.suite, plan.scenes)
     if all_rounds and plan.shard is None:
         key = rounds_key(policy_info(plan.bundle))
@@ -346,7 +346,7 @@ def _on_panel(
     seed = fresh_seed(policy, suite.model_dump(by_alias=True)) if request.panel == "fresh" else None
     rounds = None
     if against is not None and request.trials is None:
-        known = None if request.panel == "fresh" else against.bank.manifest.starts
+        known = None if request.panel == "fresh" else against.results.manifest.starts
         rounds = suite.gate.rounds_for(len(_strata(suite, scenes)), known)
     return override(suite, Request(seed=seed, trials=rounds))
 
@@ -372,7 +372,7 @@ def _drawn(
     if request.panel == "fresh":
         return draw_fresh(strata, suite.trials, **order)
     check_rounds(against, suite.trials, suite, request)
-    return draw_trials(strata, against.bank.manifest.starts, suite.trials, **order)
+    return draw_trials(strata, against.results.manifest.starts, suite.trials, **order)
 
 
 def _matched(plan: Plan, against: Against) -> Plan:

@@ -25,7 +25,7 @@ _REPORTS = Path("reports")
 class BisectedSeries:
     """A series, as far as it was judged against the checkpoint that was known to be good."""
 
-    bank: str
+    baseline: str
     """Of the good one."""
     checkpoints: tuple[str, ...]
     """In order of age, the bad one last."""
@@ -103,15 +103,15 @@ def bisect(
     read = load_suite(suite)
     how = How.taken_from(changes, "workers", "cache", "listener")
     request = Request.of(suite, policy=policy, record="none", **changes)
-    for one in (*series, *(() if _is_bank(good, read.name) else (good,))):
+    for one in (*series, *(() if _is_baseline(good, read.name) else (good,))):
         _check_place(one)
     folder = out or _REPORTS / f"bisect-{read.name}"
-    bank = _bank_of(good, request, read.name, baseline_trials, how)
+    baseline = _baseline_of(good, request, read.name, baseline_trials, how)
     runs: dict[int, RunReport] = {}
 
     def word(place: int) -> Decision:
         name = f"{place + 1:02d}-{re.sub(r'[^A-Za-z0-9_.]+', '-', Path(series[place]).stem)}"
-        asked_for = _of(request, series[place], bank)
+        asked_for = _of(request, series[place], baseline)
         runs[place] = _judged(asked_for, folder / name, how)
         finding = _finding(runs[place])
         if progress is not None:
@@ -122,7 +122,11 @@ def bisect(
     with suppress(_InterruptedSeriesError):
         found = bisection.bisect(len(series), word, everyone=everyone)
     return BisectedSeries(
-        bank=bank, checkpoints=series, runs=dict(sorted(runs.items())), found=found, folder=folder
+        baseline=baseline,
+        checkpoints=series,
+        runs=dict(sorted(runs.items())),
+        found=found,
+        folder=folder,
     )
 
 
@@ -130,13 +134,13 @@ class _InterruptedSeriesError(Exception):
     """A signal ended the run of a checkpoint."""
 
 
-def _is_bank(good: str | Path, suite: str) -> bool:
+def _is_baseline(good: str | Path, suite: str) -> bool:
     """Whether a name or path means a baseline, and no checkpoint."""
     from nw_base.errors import UsageError
-    from nw_gate.results.bank_file import find_bank
+    from nw_gate.results.baseline_file import find_baseline
 
     try:
-        return find_bank(good, suite=suite).suffix == ".parquet"
+        return find_baseline(good, suite=suite).suffix == ".parquet"
     except UsageError:
         return False
 
@@ -185,14 +189,16 @@ def _check_place(checkpoint: str | Path) -> None:
         find_card(str(checkpoint))
 
 
-def _of(request: Request, checkpoint: str, bank: str | None = None) -> Request:
+def _of(request: Request, checkpoint: str, baseline: str | None = None) -> Request:
     """Return what runs one checkpoint: weights for the card of a policy, or a policy of its own."""
     if Path(checkpoint).is_file() and Path(checkpoint).suffix not in {".yaml", ".yml"}:
-        return replace(request, checkpoint=Path(checkpoint), baseline=bank)
-    return replace(request, policy=checkpoint, baseline=bank)
+        return replace(request, checkpoint=Path(checkpoint), baseline=baseline)
+    return replace(request, policy=checkpoint, baseline=baseline)
 
 
-def _bank_of(good: str | Path, request: Request, suite: str, starts: int | None, how: How) -> str:
+def _baseline_of(
+    good: str | Path, request: Request, suite: str, starts: int | None, how: How
+) -> str:
     """Return the baseline of the good checkpoint, saved first if there is none.
 
     Raises:
@@ -201,7 +207,7 @@ def _bank_of(good: str | Path, request: Request, suite: str, starts: int | None,
     from nw_base.errors import IncomparableError
     from nw_eval.api.baselines_saved import save_baseline
 
-    if _is_bank(good, suite):
+    if _is_baseline(good, suite):
         return str(good)
     wanted = _of(request, str(good))
     saved = save_baseline(

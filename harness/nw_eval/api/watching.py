@@ -419,15 +419,15 @@ class _Watch:
             resume=folder if begun else None,
         )
         try:
-            bank = self._bank()
+            baseline = self._baseline()
         except KeyboardInterrupt:  # What it had of the baseline is kept, and so is the run.
             return None
 
         def against_best(run: Path) -> RunReport:
             found = as_begun(run)
-            if bank is None or found.verdict.verdict in {"INFRASTRUCTURE", "INVALID"}:
+            if baseline is None or found.verdict.verdict in {"INFRASTRUCTURE", "INVALID"}:
                 return found
-            return judge(run, baseline=str(bank))
+            return judge(run, baseline=str(baseline))
 
         return judged(ran, how=against_best)  # Its pages are written once.
 
@@ -436,7 +436,7 @@ class _Watch:
         known = [each for each in self._state.checkpoints if each.success is not None and each.run]
         return max(known, key=lambda each: each.success or 0.0, default=None)
 
-    def _bank(self) -> Path | None:
+    def _baseline(self) -> Path | None:
         """Return the baseline of the best checkpoint so far, or None.
 
         The run by which it was chosen overstates it: of fifty equal checkpoints the best one is so

@@ -370,18 +370,18 @@ def _journal(plan: Plan, folder: RunFolder, info: RunInfo) -> Journal:
     header = journal_header(plan)
     if has_begun(folder.journal):
         journal = Journal.resume(folder.journal, header)
-        _keep_bank(plan, folder)
+        _keep_baseline(plan, folder)
         return journal
-    _keep_bank(plan, folder)
+    _keep_baseline(plan, folder)
     write_run_info(folder.run_json, info)
     return Journal.create(folder.journal, header)
 
 
-def _keep_bank(plan: Plan, folder: RunFolder) -> None:
+def _keep_baseline(plan: Plan, folder: RunFolder) -> None:
     """Copy the baseline that the run is compared with into its folder, if it is not there."""
     if plan.against is None:
         return
-    path = folder.bank(plan.against.info.name)
+    path = folder.baseline_file(plan.against.info.name)
     if not path.exists():
         with atomic_path(path) as temporary:
             temporary.write_bytes(plan.against.content)

@@ -13,8 +13,8 @@ from nw_base.files.cache import atomic_path, followed
 from nw_base.plural import plural
 from nw_eval.reporting.side_by_side import ranks_text
 from nw_gate.side_by_side import PolicyComparison
-from nw_gate.stats.bank.curve import CurvePoint
-from nw_gate.stats.bank.evidence import Margins
+from nw_gate.stats.baseline.curve import CurvePoint
+from nw_gate.stats.baseline.evidence import Margins
 from nw_gate.sweep import AxisCurve
 from nw_sim.axes import axis_named
 

@@ -19,7 +19,7 @@ from nw_gate.baseline.finding import by_place
 from nw_gate.baseline.judge import compare, setup_of
 from nw_gate.baseline.match import known_rows
 from nw_gate.baseline.scores import with_scores
-from nw_gate.results.bank import Against
+from nw_gate.results.baseline import Against
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
 from nw_gate.settings import Gate
@@ -86,7 +86,7 @@ def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | N
         return replace(verdict, verdict="INVALID", reasons=reasons, against=found)
     planned = run.planned
     if found.again is not None and found.again.taken_over:
-        rows = known_rows(run, against.bank)
+        rows = known_rows(run, against.results)
         planned = Counter(row.scene for row in rows)
         by_bar = partial(judge, left_out=run.left_out)
     verdict = combined(by_bar(rows, gate, planned, against=found), found)
@@ -106,15 +106,15 @@ def _of_machine(verdict: Verdict, found: Comparison, gate: Gate) -> Verdict:
     if gate.success_rate is not None and found.baseline < gate.success_rate:
         return verdict
     why = (
-        f"baseline {found.bank} has success {found.baseline:.3f} for the same policy: this machine "
-        "or version changed, not the policy"
+        f"baseline {found.baseline_name} has success {found.baseline:.3f} for the same policy: "
+        "this machine or version changed, not the policy"
     )
     return replace(verdict, verdict="INVALID", reasons=(why, *verdict.reasons))
 
 
 def _mend(run: RunInfo, against: Against) -> str:
     """Return what to do about a baseline that its own policy contradicts."""
-    suite, manifest = _as_asked(run)[0], against.bank.manifest
+    suite, manifest = _as_asked(run)[0], against.results.manifest
     file = quote(f"{manifest.suite}/{manifest.name}")
     return (
         f"`nw-eval baseline verify {file} --trials 100%` names each row that differs, "
@@ -170,7 +170,7 @@ def combined(verdict: Verdict, comparison: Comparison) -> Verdict:
     return replace(verdict, verdict=word, reasons=once, against=comparison)
 
 
-def without_bank(verdict: Verdict, why: str) -> Verdict:
+def without_baseline(verdict: Verdict, why: str) -> Verdict:
     """Return the verdict on a run that was to be compared with a baseline, and cannot be: INVALID.
 
     Args:

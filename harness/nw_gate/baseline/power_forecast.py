@@ -18,16 +18,16 @@ from nw_base.trials import DrawnStart
 from nw_gate.absolute import percent, trials_to_pass
 from nw_gate.baseline.finding import (
     Met,
-    bank_of,
     margins_of,
     numbers_of,
+    reference_of,
     rules_of,
     strata_that_count,
 )
-from nw_gate.results.bank import Panel, Start, Stratum, score
+from nw_gate.results.baseline import Panel, Start, Stratum, score
 from nw_gate.results.row import Row
 from nw_gate.settings import Gate
-from nw_gate.stats.bank.curve import (
+from nw_gate.stats.baseline.curve import (
     KINDS,
     Against,
     CurvePoint,
@@ -37,7 +37,7 @@ from nw_gate.stats.bank.curve import (
     success_of,
     trials_for,
 )
-from nw_gate.stats.bank.trials import TrialRules, settle
+from nw_gate.stats.baseline.trials import TrialRules, settle
 from nw_gate.stats.power import SceneCounts
 
 NOTHING_MORE = (
@@ -51,7 +51,7 @@ _FEW = 400
 """Simulated gates where a report waits for them: the standard error is at most 2.5 %."""
 
 _FEWEST, _DRAWS = 200, 2_000_000
-"""Of banks with many thousand starts: at most 3.5 %, and as many starts drawn in all."""
+"""Of baselines with many thousand starts: at most 3.5 %, and as many starts drawn in all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +124,7 @@ class Outset:
         return None if self.known else self.starts
 
 
-def outset_of_bank(
+def outset_of_baseline(
     panel: Panel, gate: Gate, *, budget: int | None = None, against: Against = "fresh"
 ) -> Outset:
     """Return the outset of a gate against a baseline.
@@ -158,7 +158,7 @@ def outset_of_rows(rows: Iterable[Row], gate: Gate, starts: int) -> Outset:
 
     Raises:
         StoreError: no trial of the run has a result.
-        IncomparableError: as `outset_of_bank`.
+        IncomparableError: as `outset_of_baseline`.
     """
     groups: dict[Stratum, list[Row]] = {}
     for row in rows:
@@ -266,10 +266,10 @@ def trials_to_pass_baseline(
     met = Met(order=order, rows=[None] * len(order))
     basis = "fresh" if fresh else "panel"
     claim = gate.claim if not fresh else "fresh"
-    bank = bank_of(panel, judged, basis, claim, margins=margins_of(gate))
-    trials = numbers_of(met, judged, panel, basis, bank)
+    reference = reference_of(panel, judged, basis, claim, margins=margins_of(gate))
+    trials = numbers_of(met, judged, panel, basis, reference)
     perfect = replace(trials, candidate=np.ones(len(trials.scenes)))
-    decision = settle(bank, perfect, rules_of(gate, judged))
+    decision = settle(reference, perfect, rules_of(gate, judged))
     return decision.trials if decision.word == "PASS" else None
 
 

@@ -28,7 +28,7 @@ from nw_base.errors import IncomparableError, StoreError, UsageError
 from nw_base.files.cache import sync_folder
 from nw_base.files.inside import OutsideError, bounded_bytes, checked, inside
 from nw_base.plural import plural
-from nw_gate.results.bank import Against
+from nw_gate.results.baseline import Against
 from nw_gate.results.ended import PlannedTrial, write_trials
 from nw_gate.results.journal import JournalHeader, write_journal
 from nw_gate.results.log_links import link_logs
@@ -405,7 +405,7 @@ def _fill(
     info = arm.info
     lost = _take_logs(arm.held, folder)
     if against is not None:
-        path = folder.bank(against.info.name)
+        path = folder.baseline_file(against.info.name)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(against.content)
     for source in arm.sources:

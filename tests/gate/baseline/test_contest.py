@@ -1,6 +1,6 @@
-"""After which trial a run against a bank may end, and what comes next: bar and baseline together.
+"""After which trial a run against a baseline may end, and which come next, by bar and baseline.
 
-Plans and banks are real, of a shipped suite; rows say what the candidate scored.
+Plans and baselines are real, of a shipped suite; rows say what the candidate scored.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from nw_eval.engine.provenance import run_info
 from nw_gate.absolute import word_of_bar
 from nw_gate.baseline.combine import judge_run
 from nw_gate.baseline.judge import compare
-from nw_gate.results.bank_file import write_bank
+from nw_gate.results.baseline_file import write_baseline
 from nw_gate.results.provenance import StopInfo
 from nw_gate.results.run_folder import RunFolder
 
@@ -55,7 +55,7 @@ def suite_with(gate: str) -> str:
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    """A plan without a bank, and its run.json: what a bank must hold for."""
+    """A plan without a baseline, and its run.json: what a baseline must hold for."""
     folder = tmp_path_factory.mktemp("plain")
     (folder / "quick.yaml").write_text(suite_with("success_rate: 0.5"))
     plan = api.plan(folder / "quick.yaml", policy="stand", baseline="none")
@@ -104,21 +104,21 @@ class Course:
 
 
 @pytest.fixture
-def course(plain, make_bank, drawn_rows, tmp_path):
-    """The contest of a candidate with a gate, against a bank of one score in all scenes."""
+def course(plain, make_baseline, drawn_rows, tmp_path):
+    """The contest of a candidate with a gate, against a baseline of one score in all scenes."""
 
     @cache
-    def planned(gate: str, bank: float) -> Plan:
+    def planned(gate: str, baseline: float) -> Plan:
         _, info = plain
-        saved = make_bank(info, {(name, CELL): [bank] * 30 for name in SCENES})
+        saved = make_baseline(info, {(name, CELL): [baseline] * 30 for name in SCENES})
         path = tmp_path / "shipped.parquet"
         path.unlink(missing_ok=True)
-        write_bank(path, saved)
+        write_baseline(path, saved)
         (tmp_path / "quick.yaml").write_text(suite_with(gate))
         return api.plan(tmp_path / "quick.yaml", policy="stand", baseline=str(path))
 
-    def make(gate: str, scores: Mapping[str, Any], bank: float = 1.0) -> Course:
-        return Course(planned(gate, bank), drawn_rows, scores)
+    def make(gate: str, scores: Mapping[str, Any], baseline: float = 1.0) -> Course:
+        return Course(planned(gate, baseline), drawn_rows, scores)
 
     return make
 
@@ -152,7 +152,7 @@ def baseline_alone(course: Course) -> int:
 
 
 def test_the_bar_convicts_before_the_baseline_is_decided(course):
-    met = course("success_rate: 0.9, max_drop: 0.2", dict.fromkeys(SCENES, 0.5), bank=0.75)
+    met = course("success_rate: 0.9, max_drop: 0.2", dict.fromkeys(SCENES, 0.5), baseline=0.75)
     now = met.by_one()
     assert (now.first, now.followed) == (bar_alone(met), ())
     rows, run = met.stopped(now)

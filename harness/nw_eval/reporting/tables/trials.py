@@ -10,7 +10,7 @@ from shlex import quote
 
 from nw_base.files.inside import OutsideError, checked
 from nw_eval.reporting.tables.table import WORST, Table, judged, mean, more, share
-from nw_gate.results.bank import Start
+from nw_gate.results.baseline import Start
 from nw_gate.results.moment_link import MomentLink
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row

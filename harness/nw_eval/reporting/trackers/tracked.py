@@ -164,7 +164,7 @@ def _words(run: RunInfo, verdict: Verdict) -> dict[str, str]:
         "policy": run.policy.name,
         "card_digest": run.policy.card_digest,
         "checkpoint_digest": run.policy.checkpoint_digest,
-        "baseline": "none" if verdict.against is None else verdict.against.bank,
+        "baseline": "none" if verdict.against is None else verdict.against.baseline_name,
         "panel": run.panel,
         "seed": str(run.suite.get("seed", "")),
         "protocol": str(run.suite.get("protocol", "")),

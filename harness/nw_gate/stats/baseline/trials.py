@@ -57,13 +57,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from nw_base.words import Tier
-from nw_gate.stats.bank.evidence import (
+from nw_gate.stats.baseline.evidence import (
     DOWN,
     UP,
-    Bank,
     Floats,
     Margins,
     Places,
+    Reference,
     Truths,
     along,
     capital,
@@ -211,39 +211,47 @@ class TrialDecision:
         return self.mean + len(self.followed)
 
 
-def looks(bank: Bank, trials: DrawnTrials, margins: Margins) -> Looks:
+def looks(reference: Reference, trials: DrawnTrials, margins: Margins) -> Looks:
     """Return the evidence after each trial.
 
     A baseline that scores less than max_drop in every scene cannot be undercut by so much: E_pass
     is infinite from the first trial on, and says nothing of the candidate.
 
     Args:
-        bank: of the baseline, or `Bank.control`; its means have the leading axes of the trials.
+        reference: a baseline or `Reference.control`; its means have the leading axes of the
+            trials.
         trials: in the order drawn, shape (..., T).
         margins: drops that the nulls allow.
 
     Raises:
         ValueError: there are more trials than pairs of a scene and a start.
     """
-    _check_baseline(bank, trials)
-    means = np.broadcast_to(bank.means, (*trials.scenes.shape[:-1], bank.means.shape[-1]))
+    _check_baseline(reference, trials)
+    means = np.broadcast_to(reference.means, (*trials.scenes.shape[:-1], reference.means.shape[-1]))
     worst, best = trials.counted(0.0), trials.counted(1.0)
-    losses = scene_losses(bank, best.candidate, best.baseline)
-    floors = np.broadcast_to(scene_nulls(bank, margins), means.shape)
+    losses = scene_losses(reference, best.candidate, best.baseline)
+    floors = np.broadcast_to(scene_nulls(reference, margins), means.shape)
     return Looks(
-        passed=capital(bank, above_at(bank, worst), nulls_at_least(bank, margins.max_drop), UP),
-        regressed=capital(bank, below_at(bank, best), nulls_at_most(bank, margins.tolerate), DOWN),
-        own=_own(trials.scenes, losses, floors, bank.starts),
+        passed=capital(
+            reference, above_at(reference, worst), nulls_at_least(reference, margins.max_drop), UP
+        ),
+        regressed=capital(
+            reference, below_at(reference, best), nulls_at_most(reference, margins.tolerate), DOWN
+        ),
+        own=_own(trials.scenes, losses, floors, reference.starts),
     )
 
 
 def settle(
-    bank: Bank, trials: DrawnTrials, rules: TrialRules, known: Sequence[bool] | Truths | None = None
+    reference: Reference,
+    trials: DrawnTrials,
+    rules: TrialRules,
+    known: Sequence[bool] | Truths | None = None,
 ) -> TrialDecision:
     """Return what the trials that are known so far settle.
 
     Args:
-        bank: of the baseline, or `Bank.control`, without leading axes.
+        reference: a baseline or `Reference.control`, without leading axes.
         trials: all of the budget in the order drawn, shape (T,).
         rules: of the gate.
         known: which of them have ended, shape (T,), with a result or without any; all if None. Of
@@ -253,12 +261,12 @@ def settle(
     Raises:
         ValueError: the tiers are not those of the baseline; or as `looks`.
     """
-    _check(bank, rules)
+    _check(reference, rules)
     budget = len(trials.scenes)
     ended = np.ones(budget, dtype=bool) if known is None else np.array(known, dtype=bool)
     count = budget if ended.all() else int(ended.argmin())
     every = looks(
-        bank,
+        reference,
         replace(trials, candidate=np.where(ended, trials.candidate, np.nan)),
         rules.margins,
     )
@@ -370,17 +378,19 @@ class _Scenes:
         return bool(few or self._own[scene] >= SUSPECT)
 
 
-def settle_all(bank: Bank, trials: DrawnTrials, rules: TrialRules) -> list[TrialDecision]:
+def settle_all(reference: Reference, trials: DrawnTrials, rules: TrialRules) -> list[TrialDecision]:
     """Return how gates end of which every trial is known: `settle` of each, and much faster.
 
     Args:
-        bank: means of shape (S,), or (gates, S) for a baseline of each.
+        reference: means of shape (S,), or (gates, S) for a baseline of each.
         trials: shape (gates, T).
         rules: of all gates.
     """
-    _check(bank, rules)
+    _check(reference, rules)
     gates, budget = trials.scenes.shape
-    whole = replace(bank, means=np.broadcast_to(bank.means, (gates, bank.means.shape[-1])))
+    whole = replace(
+        reference, means=np.broadcast_to(reference.means, (gates, reference.means.shape[-1]))
+    )
     found: dict[int, TrialDecision] = {}
     going, count = np.arange(gates), min(64, budget)
     while going.size:
@@ -431,32 +441,32 @@ def most_false_alarms(
     return min(1.0, by_bar + by_baseline)
 
 
-def above_at(bank: Bank, trials: DrawnTrials) -> list[Floats]:
+def above_at(reference: Reference, trials: DrawnTrials) -> list[Floats]:
     """Return y of each trial for each beta and account, shape (..., T): what PASS is won by."""
-    own = [_centred(bank, trials, beta) - bank.least(beta) for beta in bank.betas]
-    if bank.bets is None:
+    own = [_centred(reference, trials, beta) - reference.least(beta) for beta in reference.betas]
+    if reference.bets is None:
         return own
     given = (trials.scenes, trials.baseline, trials.candidate)
-    return [*own, *(bank.bets.values(account, *given) for account in bank.bets.above)]
+    return [*own, *(reference.bets.values(account, *given) for account in reference.bets.above)]
 
 
-def below_at(bank: Bank, trials: DrawnTrials) -> list[Floats]:
+def below_at(reference: Reference, trials: DrawnTrials) -> list[Floats]:
     """Return y of each trial as `above_at` does: what REGRESSED is won by."""
-    own = [bank.most(beta) - _centred(bank, trials, beta) for beta in bank.betas]
-    if bank.bets is None:
+    own = [reference.most(beta) - _centred(reference, trials, beta) for beta in reference.betas]
+    if reference.bets is None:
         return own
     given = (trials.scenes, trials.baseline, 1.0 - trials.candidate)
-    return [*own, *(bank.bets.values(account, *given) for account in bank.bets.below)]
+    return [*own, *(reference.bets.values(account, *given) for account in reference.bets.below)]
 
 
-def _centred(bank: Bank, trials: DrawnTrials, beta: float) -> Floats:
+def _centred(reference: Reference, trials: DrawnTrials, beta: float) -> Floats:
     """Return z of `evidence`, shape (..., T)."""
-    if bank.means.ndim == 1:
-        means = bank.means[trials.scenes]
+    if reference.means.ndim == 1:
+        means = reference.means[trials.scenes]
     else:
-        means = np.take_along_axis(bank.means, trials.scenes, axis=-1)
+        means = np.take_along_axis(reference.means, trials.scenes, axis=-1)
     known = means + beta * (trials.baseline - means)
-    return trials.candidate - known + bank.mean
+    return trials.candidate - known + reference.mean
 
 
 def _own(scenes: Places, losses: Floats, nulls: Floats, starts: float) -> Floats:
@@ -491,13 +501,13 @@ def _first(holds: Truths) -> int:
     return int(holds.argmax()) if holds.any() else len(holds)
 
 
-def _check(bank: Bank, rules: TrialRules) -> None:
-    if len(rules.tiers) != bank.means.shape[-1]:
-        raise ValueError(f"{len(rules.tiers)} tiers for {bank.means.shape[-1]} scenes")
+def _check(reference: Reference, rules: TrialRules) -> None:
+    if len(rules.tiers) != reference.means.shape[-1]:
+        raise ValueError(f"{len(rules.tiers)} tiers for {reference.means.shape[-1]} scenes")
 
 
-def _check_baseline(bank: Bank, trials: DrawnTrials) -> None:
-    if not bank.paired and np.isnan(trials.baseline).any():
+def _check_baseline(reference: Reference, trials: DrawnTrials) -> None:
+    if not reference.paired and np.isnan(trials.baseline).any():
         raise ValueError("a baseline has a result from every start; one is missing")
 
 

@@ -27,9 +27,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from nw_gate.stats.bank.baseline_bets import make_bets
-from nw_gate.stats.bank.evidence import Bank, Floats, Margins, Places, Truths
-from nw_gate.stats.bank.trials import DrawnTrials, TrialDecision, TrialRules, settle_all
+from nw_gate.stats.baseline.baseline_bets import make_bets
+from nw_gate.stats.baseline.evidence import Floats, Margins, Places, Reference, Truths
+from nw_gate.stats.baseline.trials import DrawnTrials, TrialDecision, TrialRules, settle_all
 from nw_gate.stats.power import SceneCounts, chances_at, chances_beside, seeded
 
 Against = Literal["fresh", "panel", "control"]
@@ -41,7 +41,7 @@ baseline's own starts alone; control: the baseline's policy, run beside the cand
 class Drawn:
     """Repetitions before anybody is judged: T trials each, in the order drawn."""
 
-    bank: Bank
+    reference: Reference
     """Of each, means of shape (repetitions, S); of a control, which has none, shape (S,)."""
     scenes: Places
     """Shape (repetitions, T)."""
@@ -113,7 +113,7 @@ def draw(
         panel = panels.reshape(repetitions, len(seen), size)
         means = panel.mean(axis=-1)
         baseline = np.take_along_axis(panels, order, axis=-1)
-    bank = Bank(means=means, starts=size)
+    reference = Reference(means=means, starts=size)
     if margins is not None and against != "control":
         most = max(course.trials for course in seen)
         shown = [np.resize(np.repeat(each.values, each.counts), most) for each in seen]
@@ -121,11 +121,11 @@ def draw(
         bets = make_bets(
             np.array(shown), waypoints, max_drop=margins.max_drop, tolerate=margins.tolerate
         )
-        bank = replace(bank, bets=bets.against(panel))
+        reference = replace(reference, bets=bets.against(panel))
     if against != "panel":
-        bank = Bank.control(len(seen)) if against == "control" else bank.fresh()
+        reference = Reference.control(len(seen)) if against == "control" else reference.fresh()
     return Drawn(
-        bank=bank,
+        reference=reference,
         scenes=scenes,
         baseline=baseline,
         luck=rng.random((repetitions, budget)),
@@ -255,7 +255,7 @@ def operating_curve(
     mean, points = success_of(seen), list[CurvePoint]()
     for drop in drops:
         if mean - drop > 0.0:
-            decisions = settle_all(drawn.bank, _of_kind(kind, drawn, seen, mean - drop), rules)
+            decisions = settle_all(drawn.reference, _of_kind(kind, drawn, seen, mean - drop), rules)
             words = [decision.word for decision in decisions]
             points.append(
                 CurvePoint(
@@ -308,7 +308,7 @@ def progress_at(
         against=against,
         margins=rules.margins,
     )
-    decisions = settle_all(drawn.bank, drawn.trials(chances), rules)
+    decisions = settle_all(drawn.reference, drawn.trials(chances), rules)
     return _progress_of(decisions, [decision.trials for decision in decisions], budget)
 
 
@@ -334,7 +334,7 @@ def _progress_of(decisions: Sequence[TrialDecision], trials: Sequence[int], most
 
 
 def progress_from(
-    bank: Bank,
+    reference: Reference,
     trials: DrawnTrials,
     rules: TrialRules,
     *,
@@ -350,7 +350,7 @@ def progress_from(
     drop of .06 alone 50 and 84 %, after 64 trials 28 and 72 %; of .10 94 and 100 %, 68 and 95 %.
 
     Args:
-        bank: of the baseline, or `Bank.control`, without leading axes.
+        reference: a baseline or `Reference.control`, without leading axes.
         trials: all that may still come, in the order drawn, shape (T,), those that have ended among
             them. Of the others the candidate's success, and a control's, is not looked at; NaN
             where a trial that has ended has no result.
@@ -382,9 +382,9 @@ def progress_from(
         return np.where(ended, scores, drawn)
 
     candidate = simulated(trials.candidate)
-    baseline = simulated(trials.baseline) if bank.paired else trials.baseline
+    baseline = simulated(trials.baseline) if reference.paired else trials.baseline
     ends = settle_all(
-        bank,
+        reference,
         DrawnTrials(scenes=scenes, candidate=candidate, baseline=np.broadcast_to(baseline, shape)),
         rules,
     )

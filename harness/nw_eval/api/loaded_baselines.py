@@ -13,7 +13,7 @@ from nw_gate.results.request import Request
 
 if TYPE_CHECKING:
     from nw_eval.suite import Suite
-    from nw_gate.results.bank import Against
+    from nw_gate.results.baseline import Against
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
     from nw_gate.results.run_folder import RunFolder
@@ -26,7 +26,7 @@ _latest: dict[tuple[str, str], Against] = {}
 that it was planned with, and a process of its own takes a third of a second to read it."""
 
 
-def wanted_bank(request: Request, suite: Suite, *, own_policy: bool) -> Against | None:
+def wanted_baseline(request: Request, suite: Suite, *, own_policy: bool) -> Against | None:
     """Return the baseline to compare with; None if there is to be none.
 
     Args:
@@ -36,21 +36,21 @@ def wanted_bank(request: Request, suite: Suite, *, own_policy: bool) -> Against 
             user's first verdict is about the user's policy.
 
     Raises:
-        UsageError: there is no such bank.
+        UsageError: there is no such baseline.
         StoreError: it is damaged.
         IncomparableError: it is none, or of another version.
     """
-    from nw_gate.results.bank_file import find_bank
+    from nw_gate.results.baseline_file import find_baseline
 
     reference = request.baseline
     if reference is None and own_policy:
         reference = suite.gate.baseline
     if reference is None or reference == NO_BASELINE:
         return None
-    return _opened(find_bank(reference, suite=suite.name))
+    return _opened(find_baseline(reference, suite=suite.name))
 
 
-def kept_bank(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -> Against | None:
+def kept_baseline(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -> Against | None:
     """Return the baseline that a run was begun with, from the copy in its folder, or where it was.
 
     Args:
@@ -63,7 +63,10 @@ def kept_bank(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -> Ag
     """
     if info.baseline is None:
         return None
-    places = [folder.bank(info.baseline.name), *([Path(info.baseline.path)] if elsewhere else [])]
+    places = [
+        folder.baseline_file(info.baseline.name),
+        *([Path(info.baseline.path)] if elsewhere else []),
+    ]
     for path in places:
         if path.is_file() and (digest := _digest(path.read_bytes())) == info.baseline.sha256:
             against = (_latest.get((path.name, digest)) or _opened(path)).of_run(info.baseline)
@@ -83,7 +86,7 @@ def _beside(against: Against, folder: RunFolder, info: RunInfo) -> Against:
         TrialError: one is an error.
     """
     from nw_base.files.inside import what_is
-    from nw_gate.results.bank import ControlArm
+    from nw_gate.results.baseline import ControlArm
     from nw_gate.results.provenance import read_run_info
 
     nested, known = folder.baseline, info.baseline
@@ -117,7 +120,7 @@ def control_rows(nested: RunFolder, own: RunInfo, folder: RunFolder) -> tuple[Ro
     return rows
 
 
-def judging_bank(
+def judging_baseline(
     folder: RunFolder, info: RunInfo, suite: Suite, reference: str | None
 ) -> Against | None:
     """Return the baseline to judge the rows of a run against; None if there is to be none.
@@ -130,19 +133,19 @@ def judging_bank(
             else the one that the suite names for its own policy.
 
     Raises:
-        UsageError, StoreError: as `wanted_bank`.
-        IncomparableError: as `kept_bank`.
+        UsageError, StoreError: as `wanted_baseline`.
+        IncomparableError: as `kept_baseline`.
         TrialError: a trial of the control is an error.
     """
     if reference is None and info.baseline is not None:
-        return kept_bank(folder, info)
-    against = wanted_bank(Request(baseline=reference), suite, own_policy=info.own_policy)
+        return kept_baseline(folder, info)
+    against = wanted_baseline(Request(baseline=reference), suite, own_policy=info.own_policy)
     if against and info.baseline and against.info.sha256 == info.baseline.sha256:
         return _beside(against, folder, info)
     return against
 
 
-def resumed_bank(
+def resumed_baseline(
     folder: RunFolder, info: RunInfo, suite: Suite, request: Request
 ) -> Against | None:
     """Return the baseline to go on with in a run: the one that it was begun with.
@@ -154,13 +157,13 @@ def resumed_bank(
         request: what is asked for now.
 
     Raises:
-        UsageError, StoreError: as `wanted_bank`.
-        IncomparableError: as `kept_bank`; or another baseline is asked for now.
+        UsageError, StoreError: as `wanted_baseline`.
+        IncomparableError: as `kept_baseline`; or another baseline is asked for now.
     """
-    kept = kept_bank(folder, info)
+    kept = kept_baseline(folder, info)
     if request.baseline is None:
         return kept
-    wanted = wanted_bank(request, suite, own_policy=info.own_policy)
+    wanted = wanted_baseline(request, suite, own_policy=info.own_policy)
     if kept is None or (wanted is not None and wanted.info.sha256 == kept.info.sha256):
         return wanted
     now = str(request.baseline) + ("" if wanted is None else f" ({wanted.info.sha256[:8]})")
@@ -179,26 +182,30 @@ def check_rounds(against: Against, rounds: int, suite: Suite, request: Request) 
     """
     from nw_gate.baseline.match import saving
 
-    name, starts = against.info.name, against.bank.manifest.starts
+    name, starts = against.info.name, against.results.manifest.starts
     if rounds > starts:
-        policy = request.baseline_policy or against.bank.manifest.policy.typed
+        policy = request.baseline_policy or against.results.manifest.policy.typed
         words = (str(request.suite or suite.name), policy, "--trials", str(rounds))
         raise IncomparableError(
             f"baseline {name} has {plural(starts, 'start')} in each scene, and {rounds} trials of "
             "each draw more",
-            fix=f"--trials {starts}, or more starts: `{saving(against.bank, *words)}`",
+            fix=f"--trials {starts}, or more starts: `{saving(against.results, *words)}`",
         )
 
 
 def _opened(path: Path) -> Against:
-    from nw_gate.results.bank import Against
-    from nw_gate.results.bank_file import read_bank
+    from nw_gate.results.baseline import Against
+    from nw_gate.results.baseline_file import read_baseline
     from nw_gate.results.provenance import BaselineInfo
 
-    bank, content = read_bank(path), path.read_bytes()
-    info = BaselineInfo(name=bank.manifest.name, path=str(path.resolve()), sha256=_digest(content))
+    baseline, content = read_baseline(path), path.read_bytes()
+    info = BaselineInfo(
+        name=baseline.manifest.name, path=str(path.resolve()), sha256=_digest(content)
+    )
     _latest.clear()
-    _latest[path.name, info.sha256] = against = Against(info=info, bank=bank, content=content)
+    _latest[path.name, info.sha256] = against = Against(
+        info=info, results=baseline, content=content
+    )
     return against
 
 
