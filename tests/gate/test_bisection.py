@@ -105,8 +105,8 @@ def page_of(words: str, run_scene: Callable[..., Any], **changes: Any) -> str:
         against = Comparison(
             word=word, baseline_name="good", policy="p", basis="panel", claim="fresh", trials=2,
             budget=4, starts=60, baseline=0.95, drop=0.05, interval=interval,
-            mean_regressed=word[0] == "R", false_alarm=0.01, max_drop=0.1, tolerate=0.02, scene_drop=0.1, alpha_pass=0.05,
-            alpha_regr=0.01, scenes=(), reasons=(),
+            mean_regressed=word[0] == "R", false_alarm=0.01, max_drop=0.1, tolerate=0.02,
+            scene_drop=0.1, alpha_pass=0.05, alpha_regr=0.01, scenes=(), reasons=(),
         )  # fmt: skip
         runs[place] = RunReport(
             folder=Path(),

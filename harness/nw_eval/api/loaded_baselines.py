@@ -13,7 +13,7 @@ from nw_gate.results.request import Request
 
 if TYPE_CHECKING:
     from nw_eval.suite import Suite
-    from nw_gate.results.baseline import Against
+    from nw_gate.results.baseline import LoadedBaseline
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
     from nw_gate.results.run_folder import RunFolder
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 NO_BASELINE = "none"
 """What is asked for where a suite names a baseline and none is wanted."""
 
-_latest: dict[tuple[str, str], Against] = {}
+_latest: dict[tuple[str, str], LoadedBaseline] = {}
 """The baseline that was read last, by its file's name and digest: a run is judged by the baseline
 that it was planned with, and a process of its own takes a third of a second to read it."""
 
 
-def wanted_baseline(request: Request, suite: Suite, *, own_policy: bool) -> Against | None:
+def wanted_baseline(request: Request, suite: Suite, *, own_policy: bool) -> LoadedBaseline | None:
     """Return the baseline to compare with; None if there is to be none.
 
     Args:
@@ -50,7 +50,9 @@ def wanted_baseline(request: Request, suite: Suite, *, own_policy: bool) -> Agai
     return _opened(find_baseline(reference, suite=suite.name))
 
 
-def kept_baseline(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -> Against | None:
+def kept_baseline(
+    folder: RunFolder, info: RunInfo, *, elsewhere: bool = True
+) -> LoadedBaseline | None:
     """Return the baseline that a run was begun with, from the copy in its folder, or where it was.
 
     Args:
@@ -70,7 +72,7 @@ def kept_baseline(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -
     for path in places:
         if path.is_file() and (digest := _digest(path.read_bytes())) == info.baseline.sha256:
             against = (_latest.get((path.name, digest)) or _opened(path)).of_run(info.baseline)
-            return _beside(against, folder, info)
+            return _with_control(against, folder, info)
     raise IncomparableError(
         f"run {info.id} is compared with baseline {info.baseline.name}, and neither its copy of it "
         f"nor {info.baseline.path} is there as it was",
@@ -78,7 +80,7 @@ def kept_baseline(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -
     )
 
 
-def _beside(against: Against, folder: RunFolder, info: RunInfo) -> Against:
+def _with_control(against: LoadedBaseline, folder: RunFolder, info: RunInfo) -> LoadedBaseline:
     """Return a baseline with the trials of its policy that ran beside those of a run, if any did.
 
     Raises:
@@ -122,7 +124,7 @@ def control_rows(nested: RunFolder, own: RunInfo, folder: RunFolder) -> tuple[Ro
 
 def judging_baseline(
     folder: RunFolder, info: RunInfo, suite: Suite, reference: str | None
-) -> Against | None:
+) -> LoadedBaseline | None:
     """Return the baseline to judge the rows of a run against; None if there is to be none.
 
     Args:
@@ -141,13 +143,13 @@ def judging_baseline(
         return kept_baseline(folder, info)
     against = wanted_baseline(Request(baseline=reference), suite, own_policy=info.own_policy)
     if against and info.baseline and against.info.sha256 == info.baseline.sha256:
-        return _beside(against, folder, info)
+        return _with_control(against, folder, info)
     return against
 
 
 def resumed_baseline(
     folder: RunFolder, info: RunInfo, suite: Suite, request: Request
-) -> Against | None:
+) -> LoadedBaseline | None:
     """Return the baseline to go on with in a run: the one that it was begun with.
 
     Args:
@@ -174,7 +176,7 @@ def resumed_baseline(
     )
 
 
-def check_rounds(against: Against, rounds: int, suite: Suite, request: Request) -> None:
+def check_rounds(against: LoadedBaseline, rounds: int, suite: Suite, request: Request) -> None:
     """Refuse more trials of each scene than a baseline has starts.
 
     Raises:
@@ -193,8 +195,8 @@ def check_rounds(against: Against, rounds: int, suite: Suite, request: Request) 
         )
 
 
-def _opened(path: Path) -> Against:
-    from nw_gate.results.baseline import Against
+def _opened(path: Path) -> LoadedBaseline:
+    from nw_gate.results.baseline import LoadedBaseline
     from nw_gate.results.baseline_file import read_baseline
     from nw_gate.results.provenance import BaselineInfo
 
@@ -203,7 +205,7 @@ def _opened(path: Path) -> Against:
         name=baseline.manifest.name, path=str(path.resolve()), sha256=_digest(content)
     )
     _latest.clear()
-    _latest[path.name, info.sha256] = against = Against(
+    _latest[path.name, info.sha256] = against = LoadedBaseline(
         info=info, results=baseline, content=content
     )
     return against

@@ -15,7 +15,7 @@ from nw_base.plural import plural
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
     from nw_eval.suite import Trial
-    from nw_gate.results.baseline import Against
+    from nw_gate.results.baseline import LoadedBaseline
     from nw_gate.results.merge import MergedArm, MergeSource
     from nw_gate.results.row import Row
 
@@ -57,11 +57,11 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
     held = joined(sources, wanted(plan, first.info.stop), first.parts[0].shard.count)
     info = merged_info(sources, plan, name=folder.id, command=tuple(sys.argv))
     arm = MergedArm(info=info, held=held, sources=sources)
-    beside = _beside(sources, plan)
-    info, lost = write_merged(folder.path, arm, _baseline(sources), beside)
+    control = _merged_control(sources, plan)
+    info, lost = write_merged(folder.path, arm, _baseline(sources), control)
     suite = saved_suite(info)
     found = RunRows(rows=tuple(one.row for one in held), remarks=(*remarks, *lost))
-    del sources, plan, first, held, arm, beside  # A million trials have hundreds of megabytes.
+    del sources, plan, first, held, arm, control  # A million trials have hundreds of megabytes.
     against = judging_baseline(folder, info, suite, baseline)
     return written(judged_rows(folder, info, suite, against, found), folder.report_md)
 
@@ -102,7 +102,7 @@ def _read(
     return sources, ordered, remarks
 
 
-def _beside(sources: Sequence[MergeSource], ordered: Sequence[Trial]) -> MergedArm | None:
+def _merged_control(sources: Sequence[MergeSource], ordered: Sequence[Trial]) -> MergedArm | None:
     """Return the run of the baseline's own policy beside that of all parts; None if it had none.
 
     Args:
@@ -159,7 +159,7 @@ def _beside(sources: Sequence[MergeSource], ordered: Sequence[Trial]) -> MergedA
     return MergedArm(info=info, held=joined(arms, trials, count=1), sources=arms)
 
 
-def _baseline(sources: Sequence[MergeSource]) -> Against | None:
+def _baseline(sources: Sequence[MergeSource]) -> LoadedBaseline | None:
     """Return the baseline that the parts were begun against, if any of them can still show it."""
     from nw_eval.api.loaded_baselines import kept_baseline
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from nw_base.words import Arm, Collision
     from nw_eval.engine.plan import Forecast, Plan
     from nw_eval.suite import Draft, Suite, Trial
-    from nw_gate.results.baseline import Against, Stratum
+    from nw_gate.results.baseline import LoadedBaseline, Stratum
     from nw_gate.results.provenance import PolicyInfo
     from nw_policies import Bundle
     from nw_scenes import Scene
@@ -69,7 +69,7 @@ def plan_of(
     card: Path | None = None,
     scenes: Sequence[str] | None = None,
     bundle: Bundle | None = None,
-    against: Against | None = None,
+    against: LoadedBaseline | None = None,
     arm: Arm = "candidate",
     own_policy: bool | None = None,
     may_fail: bool = True,
@@ -337,7 +337,7 @@ def _on_panel(
     suite: Suite,
     scenes: Sequence[Scene],
     policy: PolicyInfo,
-    against: Against | None,
+    against: LoadedBaseline | None,
 ) -> Suite:
     """Return a suite with the seed of the seed set in use, and the trials that may run."""
     from nw_eval.suite import override
@@ -356,7 +356,7 @@ def _drawn(
     suite: Suite,
     scenes: Sequence[Scene],
     policy: PolicyInfo,
-    against: Against | None,
+    against: LoadedBaseline | None,
 ) -> list[DrawnStart] | None:
     """Return the trials of a run against a baseline in their order; None without a baseline.
 
@@ -375,7 +375,7 @@ def _drawn(
     return draw_trials(strata, against.results.manifest.starts, suite.trials, **order)
 
 
-def _matched(plan: Plan, against: Against) -> Plan:
+def _matched(plan: Plan, against: LoadedBaseline) -> Plan:
     """Return a plan that its baseline holds for, with whether its policy is the baseline's own.
 
     Raises:

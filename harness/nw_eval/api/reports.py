@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from nw_eval.api.evidence import KeptEvidence
     from nw_eval.reporting.html.evidence import LogEvidence
     from nw_eval.suite import Suite
-    from nw_gate.results.baseline import Against, Start
+    from nw_gate.results.baseline import LoadedBaseline, Start
     from nw_gate.results.ended import RunRows
     from nw_gate.results.provenance import BaselineInfo, RunInfo
     from nw_gate.results.row import Row
@@ -262,7 +262,7 @@ def _judged(
     folder: RunFolder,
     info: RunInfo,
     suite: Suite,
-    baseline: Callable[[], Against | None],
+    baseline: Callable[[], LoadedBaseline | None],
     *,
     mend: bool = True,
 ) -> RunReport:
@@ -281,7 +281,7 @@ def _judged(
 
 
 def judged_rows(
-    folder: RunFolder, info: RunInfo, suite: Suite, against: Against | None, found: RunRows
+    folder: RunFolder, info: RunInfo, suite: Suite, against: LoadedBaseline | None, found: RunRows
 ) -> RunReport:
     """Return the verdict on rows that are read already, with what there is to remark on them.
 

@@ -86,7 +86,7 @@ def roll_out(
         UsageError: a label is none.
         IncomparableError, StoreError, SceneError, TrialError, PrerequisiteError: as `run`.
     """
-    from nw_eval.api.contest import Contest
+    from nw_eval.api.baseline_comparison import BaselineComparison
     from nw_eval.api.plans import rechecked
     from nw_eval.engine import session
     from nw_eval.engine.order import unforeseen_seed
@@ -103,18 +103,18 @@ def roll_out(
         # The starts that run again are drawn now: no file says which they will be.
         whole = how.all_rounds or plan.shard is not None
         plan = rechecked(plan, unforeseen_seed(), all_rounds=whole)
-    contest = None
+    comparison = None
     for words in _ahead(plan):
         how.told.message(words)
     if plan.against is not None:
-        contest = Contest(plan, plan.against, how)
+        comparison = BaselineComparison(plan, plan.against, how)
     elif (plan.shard is None or plan.shard.count == 1) and plan.request.baseline != "none":
         name = plan.suite.name if plan.request.suite is None else str(plan.request.suite)
         policy = plan.bundle.name if plan.request.policy is None else plan.request.policy
         if why := unjudged(plan.suite.gate, name, policy):
             how.told.message(why)
     return session.carry_out(
-        plan, how, out=out, resume=resume, contest=contest, meanwhile=prepare_pages
+        plan, how, out=out, resume=resume, comparison=comparison, meanwhile=prepare_pages
     )
 
 

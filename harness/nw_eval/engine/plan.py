@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from nw_base.trials import DrawnStart, Trial
     from nw_base.words import Arm, Backend, Kernels, PanelKind
     from nw_eval.suite.model import Suite
-    from nw_gate.results.baseline import Against
+    from nw_gate.results.baseline import LoadedBaseline
     from nw_gate.results.column import Settings
     from nw_gate.results.provenance import ShardInfo
     from nw_gate.results.request import Request
@@ -71,7 +71,7 @@ class Plan:
     """Whether the policy is the suite's own: only then its own baseline counts."""
     shard: ShardInfo | None = None
     """Which part of a run it is; None: all of it."""
-    against: Against | None = None
+    against: LoadedBaseline | None = None
     is_baseline: bool = False
     """Whether the policy to be judged is the baseline's own, on the baseline's starts, of which
     only some need run again."""
@@ -322,7 +322,7 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
     return (*unknown, *found)
 
 
-def _scores_it_lacks(plan: Plan, against: Against) -> tuple[str, ...]:
+def _scores_it_lacks(plan: Plan, against: LoadedBaseline) -> tuple[str, ...]:
     """Return which gated scores a baseline was saved without, that holds on this machine type.
 
     On another one its policy runs beside the candidate, and is measured, too.
@@ -375,7 +375,7 @@ def _warnings(plan: Plan) -> tuple[str, ...]:
     return (sentence,)
 
 
-def _against_the_baseline(plan: Plan, against: Against) -> list[str]:
+def _against_the_baseline(plan: Plan, against: LoadedBaseline) -> list[str]:
     """Return that the trials of a plan are too few to exclude max_drop, if they are."""
     from nw_gate.baseline.power_forecast import trials_to_pass_baseline
 
@@ -446,7 +446,7 @@ def obstacles_among_equals(
     return (reason,)
 
 
-def _whole_order(plan: Plan, against: Against) -> list[DrawnStart]:
+def _whole_order(plan: Plan, against: LoadedBaseline) -> list[DrawnStart]:
     """Return the order of a plan with as many trials as there can be."""
     from nw_eval.engine.identity import policy_info
     from nw_gate.baseline.match import draw_fresh, draw_trials

@@ -56,8 +56,8 @@ if TYPE_CHECKING:
 _REPORTS = "reports"
 
 
-class Contest(Protocol):
-    """A run against a baseline, as the loop of `carry_out` asks about it; a context manager."""
+class BaselineComparison(Protocol):
+    """The comparison with a baseline, as `carry_out` uses it; a context manager."""
 
     def __enter__(self) -> object: ...
 
@@ -74,12 +74,12 @@ class Contest(Protocol):
         """Return how it stands, from the rows that have ended by place in the drawn order."""
         ...
 
-    def run_beside(self, places: Sequence[int]) -> None:
+    def run_control(self, places: Sequence[int]) -> None:
         """Run trials of the baseline's own policy at places of the drawn order."""
         ...
 
     def end(self, run: RunInfo) -> None:
-        """Hear what run.json says in the end."""
+        """Receive run.json after the last trial."""
         ...
 
 
@@ -89,12 +89,12 @@ def carry_out(
     *,
     out: Path | None = None,
     resume: Path | None = None,
-    contest: Contest | None = None,
+    comparison: BaselineComparison | None = None,
     meanwhile: Callable[[], None] | None = None,
 ) -> RunFolder:
     """Run what has no result yet and leave a folder that can be judged, or resumed.
 
-    Against a baseline the contest says after each trial what comes next. Where it needs trials of
+    Against a baseline, `comparison` says after each trial what comes next. Where it needs trials of
     the baseline's own policy, these run between those of the plan.
 
     Args:
@@ -102,7 +102,7 @@ def carry_out(
         how: how it is run.
         out: the run's folder (default: a new one in `reports/`).
         resume: the folder of an interrupted run, whose finished trials are kept.
-        contest: the plan against its baseline; None = all trials run.
+        comparison: the plan against its baseline; None = all trials run.
         meanwhile: called in a thread while trials run in other processes; it raises nothing.
 
     Raises:
@@ -116,22 +116,22 @@ def carry_out(
     interrupts = Interrupts()
     with (
         Session(plan, how, interrupts, out=out, resume=resume, meanwhile=meanwhile) as own,
-        contest or nullcontext(),
+        comparison or nullcontext(),
     ):
-        if contest is not None:
-            own.keep(contest.begin(own, interrupts))
+        if comparison is not None:
+            own.keep(comparison.begin(own, interrupts))
         if (own.info.stop is None or own.info.stop.trials) and not own.info.interrupted:
             # What is enough shows in the order of the whole run only, of which a part has none.
-            enough = None if contest is None or plan.shard else contest.next
+            enough = None if comparison is None or plan.shard else comparison.next
             with interrupts:
                 while (standing := own.run(enough)) is not None and standing.lacks:
-                    assert contest is not None, "only a contest lacks a control's trials"
-                    contest.run_beside(standing.lacks)
+                    assert comparison is not None, "only a comparison can lack trials of a control"
+                    comparison.run_control(standing.lacks)
             own.finish(None if standing is None else stop_of(plan, standing))
         else:
             own.finish(own.info.stop)
-        if contest is not None:
-            contest.end(own.info)
+        if comparison is not None:
+            comparison.end(own.info)
     return own.folder
 
 

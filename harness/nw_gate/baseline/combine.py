@@ -19,14 +19,16 @@ from nw_gate.baseline.finding import by_place
 from nw_gate.baseline.judge import compare, setup_of
 from nw_gate.baseline.match import known_rows
 from nw_gate.baseline.scores import with_scores
-from nw_gate.results.baseline import Against
+from nw_gate.results.baseline import LoadedBaseline
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
 from nw_gate.settings import Gate
 from nw_gate.verdict import Comparison, Verdict, Word
 
 
-def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None) -> Verdict:
+def judge_run(
+    rows: Sequence[Row], run: RunInfo, gate: Gate, against: LoadedBaseline | None
+) -> Verdict:
     """Judge the rows of a run by the bar, and against a baseline if there is one.
 
     Where a result came out otherwise than the cache of trials says, the verdict is INFRASTRUCTURE.
@@ -64,7 +66,9 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
     return replace(verdict, verdict="INFRASTRUCTURE", reasons=reasons)
 
 
-def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None) -> Verdict:
+def _of_rows(
+    rows: Sequence[Row], run: RunInfo, gate: Gate, against: LoadedBaseline | None
+) -> Verdict:
     """Return the verdict on the rows as they are."""
     by_bar = partial(judge, left_out=run.left_out)
     if against is None:
@@ -112,7 +116,7 @@ def _of_machine(verdict: Verdict, found: Comparison, gate: Gate) -> Verdict:
     return replace(verdict, verdict="INVALID", reasons=(why, *verdict.reasons))
 
 
-def _mend(run: RunInfo, against: Against) -> str:
+def _mend(run: RunInfo, against: LoadedBaseline) -> str:
     """Return what to do about a baseline that its own policy contradicts."""
     suite, manifest = _as_asked(run)[0], against.results.manifest
     file = quote(f"{manifest.suite}/{manifest.name}")
@@ -181,7 +185,9 @@ def without_baseline(verdict: Verdict, why: str) -> Verdict:
     return replace(verdict, verdict="INVALID", reasons=(why, *alone))
 
 
-def _drawn(rows: Sequence[Row], run: RunInfo, against: Against, gate: Gate) -> list[Row] | None:
+def _drawn(
+    rows: Sequence[Row], run: RunInfo, against: LoadedBaseline, gate: Gate
+) -> list[Row] | None:
     """Return the rows that bear on a bar, where a part of the trials was enough; else None.
 
     Trials that were followed for their scenes alone are not among them.

@@ -39,7 +39,7 @@ from nw_gate.baseline.match import (
     recheck,
 )
 from nw_gate.baseline.power_forecast import Forecast, Outset, about_more_trials, outset_of_baseline
-from nw_gate.results.baseline import Against, BaselineResults, Panel, Start, Stratum, score
+from nw_gate.results.baseline import BaselineResults, LoadedBaseline, Panel, Start, Stratum, score
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
 from nw_gate.settings import Gate
@@ -60,7 +60,7 @@ class ComparisonSetup:
     """A run against a baseline that holds for it, before anything of its trials is looked at."""
 
     run: RunInfo
-    against: Against
+    against: LoadedBaseline
     gate: Gate
     basis: Basis
     claim: Claim
@@ -162,7 +162,7 @@ class ComparisonSetup:
         )
 
 
-def setup_of(run: RunInfo, against: Against, gate: Gate) -> ComparisonSetup:
+def setup_of(run: RunInfo, against: LoadedBaseline, gate: Gate) -> ComparisonSetup:
     """Return a run against a baseline.
 
     Args:
@@ -201,7 +201,12 @@ def setup_of(run: RunInfo, against: Against, gate: Gate) -> ComparisonSetup:
 
 
 def compare(
-    rows: Sequence[Row], run: RunInfo, against: Against, gate: Gate, *, power_forecast: bool = False
+    rows: Sequence[Row],
+    run: RunInfo,
+    against: LoadedBaseline,
+    gate: Gate,
+    *,
+    power_forecast: bool = False,
 ) -> Comparison:
     """Compare the trials that a run has so far with a baseline.
 

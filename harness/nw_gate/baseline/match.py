@@ -77,7 +77,7 @@ def renewing(run: RunInfo, baseline: BaselineResults, *options: str) -> str:
 
 def saving(baseline: BaselineResults, suite: str, policy: str, *options: str) -> str:
     """Return the command that renews a suite's baseline, from a policy as it can be typed."""
-    name = baseline.manifest.name
+    own = baseline.manifest.name
     name = [] if own == baseline.manifest.policy.name else ["--name", own]
     words = ["nw-eval", "baseline", "save", suite, "--policy", policy, *(options or ["--renew"])]
     return " ".join(quote(word) for word in [*words, *name])

@@ -29,7 +29,7 @@ from nw_gate.results.row import Row
 from nw_gate.settings import Gate
 from nw_gate.stats.baseline.curve import (
     KINDS,
-    Against,
+    ComparisonKind,
     CurvePoint,
     Progress,
     operating_curve,
@@ -67,7 +67,7 @@ class Outset:
     """M."""
     known: bool
     """Whether `seen` is the baseline; else baselines are drawn from it."""
-    against: Against = "fresh"
+    against: ComparisonKind = "fresh"
     """What the gate speaks of, and what it compares with."""
 
     @property
@@ -125,7 +125,7 @@ class Outset:
 
 
 def outset_of_baseline(
-    panel: Panel, gate: Gate, *, budget: int | None = None, against: Against = "fresh"
+    panel: Panel, gate: Gate, *, budget: int | None = None, against: ComparisonKind = "fresh"
 ) -> Outset:
     """Return the outset of a gate against a baseline.
 

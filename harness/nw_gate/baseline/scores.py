@@ -37,7 +37,7 @@ from nw_gate.baseline.finding import (
 )
 from nw_gate.baseline.judge import ComparisonSetup, setup_of
 from nw_gate.baseline.match import renewing
-from nw_gate.results.baseline import Against, BaselineResults, Start, Stratum
+from nw_gate.results.baseline import BaselineResults, LoadedBaseline, Start, Stratum
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
 from nw_gate.scores import ScoreSpec
@@ -55,7 +55,7 @@ from nw_gate.verdict import ScoreFinding, Verdict, Word, percent_sure
 
 
 def with_scores(
-    verdict: Verdict, rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None
+    verdict: Verdict, rows: Sequence[Row], run: RunInfo, gate: Gate, against: LoadedBaseline | None
 ) -> Verdict:
     """Return a verdict with the scores of its trials, and with what `gate.scores` makes of it.
 

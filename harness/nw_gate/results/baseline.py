@@ -211,7 +211,7 @@ class ControlArm:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Against:
+class LoadedBaseline:
     """The baseline that a run is compared with."""
 
     info: BaselineInfo
@@ -241,7 +241,7 @@ class Against:
         }
         return {trial: rival for trial, rival in found.items() if rival is not None}
 
-    def of_run(self, info: BaselineInfo) -> Against:
+    def of_run(self, info: BaselineInfo) -> LoadedBaseline:
         """Return the baseline as a run knows it, that was begun with it somewhere else."""
         return replace(self, info=info.model_copy(update={"checked": None, "moved": ()}))
 

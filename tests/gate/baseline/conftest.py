@@ -9,10 +9,10 @@ import pytest
 from nw_eval.suite import new_suite
 from nw_gate.baseline.match import drawn_order
 from nw_gate.results.baseline import (
-    Against,
     BaselinePolicy,
     BaselineResults,
     ControlArm,
+    LoadedBaseline,
     Manifest,
     Panel,
     PanelInfo,
@@ -193,9 +193,9 @@ def drawn(run: RunInfo, scores: Visits, first: int | None = None) -> list[Row]:
 def make_against():
     """A baseline as runs are compared with it."""
 
-    def make(baseline: BaselineResults, control: ControlArm | None = None) -> Against:
+    def make(baseline: BaselineResults, control: ControlArm | None = None) -> LoadedBaseline:
         info = BaselineInfo(name=baseline.manifest.name, path="shipped.parquet", sha256="5a" * 32)
-        return Against(info=info, results=baseline, content=b"", control=control)
+        return LoadedBaseline(info=info, results=baseline, content=b"", control=control)
 
     return make
 

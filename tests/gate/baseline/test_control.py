@@ -19,7 +19,7 @@ from nw_gate.results.baseline import trajectory
 from nw_gate.settings import Validity
 
 if TYPE_CHECKING:
-    from nw_gate.results.baseline import Against
+    from nw_gate.results.baseline import LoadedBaseline
 
 
 SCENES = ("a", "b", "c", "d")
@@ -47,7 +47,7 @@ def run(make_run, baseline, make_against):
 def beside(run, baseline, make_against, make_control):
     """The baseline as the run is compared with it, by what its policy scores there."""
 
-    def make(scores: Any, first: int | None = None) -> Against:
+    def make(scores: Any, first: int | None = None) -> LoadedBaseline:
         return make_against(baseline, make_control(run, baseline, scores, first))
 
     return make

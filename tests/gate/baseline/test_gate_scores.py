@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from nw_gate.baseline.combine import judge_run
-from nw_gate.results.baseline import Against, BaselineResults
+from nw_gate.results.baseline import BaselineResults, LoadedBaseline
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
 from nw_gate.scores import specs_of
@@ -63,7 +63,7 @@ def judged(make_run, make_baseline, drawn_rows, make_against):
         suite = {"gate": gate}
         run: RunInfo = make_run(scenes, trials, suite=suite, **ways)
         run = run.model_copy(update={"scores": specs_of(now)})
-        against: Against | None = None
+        against: LoadedBaseline | None = None
         if before is not None:
             baseline = make_baseline(run, dict.fromkeys(scenes, [1.0] * 60))
             against = make_against(baseline_with(baseline, **before))

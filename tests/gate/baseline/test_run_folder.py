@@ -172,7 +172,7 @@ def test_a_report_shows_the_verdict_against_the_baseline_that_the_run_was_begun_
     )
     begun = run.model_copy(update={"baseline": info})
     folder = write_run(begun, drawn_rows(run, like(low=0.25)))
-    copy = RunFolder(path=Path(folder)).baseline("shipped")
+    copy = RunFolder(path=Path(folder)).baseline_file("shipped")
     copy.parent.mkdir()
     copy.write_bytes(content)
     # Whatever becomes of the file, the run's own copy is what it was judged by.

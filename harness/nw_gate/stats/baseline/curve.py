@@ -32,7 +32,7 @@ from nw_gate.stats.baseline.evidence import Floats, Margins, Places, Reference, 
 from nw_gate.stats.baseline.trials import DrawnTrials, TrialDecision, TrialRules, settle_all
 from nw_gate.stats.power import SceneCounts, chances_at, chances_beside, seeded
 
-Against = Literal["fresh", "panel", "control"]
+ComparisonKind = Literal["fresh", "panel", "control"]
 """What a gate speaks of, and what it compares with. fresh: fresh starts, M is infinite; panel: the
 baseline's own starts alone; control: the baseline's policy, run beside the candidate."""
 
@@ -77,7 +77,7 @@ def draw(
     starts: int | None,
     budget: int,
     repetitions: int,
-    against: Against = "fresh",
+    against: ComparisonKind = "fresh",
     margins: Margins | None = None,
 ) -> Drawn:
     """Return repetitions of a gate against a baseline, the same ones for the same counts.
@@ -224,7 +224,7 @@ def operating_curve(
     starts: int | None = None,
     drops: Sequence[float] = DROPS,
     repetitions: int = REPETITIONS,
-    against: Against = "fresh",
+    against: ComparisonKind = "fresh",
     kind: Kind = "every waypoint harder",
 ) -> tuple[CurvePoint, ...]:
     """Return how a gate ends at each drop that the baseline is high enough for.
@@ -283,7 +283,7 @@ def progress_at(
     *,
     starts: int | None = None,
     repetitions: int = REPETITIONS,
-    against: Against = "fresh",
+    against: ComparisonKind = "fresh",
 ) -> Progress:
     """Return how gates of a policy of this drop end if all starts of the baseline may be run.
 

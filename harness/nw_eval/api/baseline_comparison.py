@@ -1,4 +1,4 @@
-"""A run against a baseline: what comes before its first trial, and after which trial it may end.
+"""A run against a baseline: its checks before the first trial, and when it may end.
 
 On a machine type that its baseline has not seen the baseline has trials of its own. They are a
 run of their own, `baseline/` in the folder of the candidate's: the baseline's policy from the
@@ -6,8 +6,8 @@ starts that the candidate meets, in its order. The first of them show whether bi
 baseline's. If they are, nothing more of it runs. If not, the policy runs beside the candidate from
 every start (a concurrent control), and the baseline's numbers take no part in the comparison.
 
-A part of a run looks at the first trials of the whole run, so that all parts find the same without
-hearing of each other, and what the run would have found. Its control runs from its own starts.
+A part of a run looks at the first trials of the whole run, so that all parts reach the same
+decisions as the whole run, with no exchange. Its control runs from its own initial states.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_gate.baseline.finding import Finding
     from nw_gate.baseline.judge import ComparisonSetup
-    from nw_gate.results.baseline import Against, Stratum
+    from nw_gate.results.baseline import LoadedBaseline, Stratum
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
     from nw_gate.verdict import Word
     from nw_policies import Bundle
 
 
-class Contest:
+class BaselineComparison:
     """A candidate's run against a baseline, as `engine.session` asks about it.
 
     A context manager, which closes the control's run.
@@ -56,12 +56,12 @@ class Contest:
         how: how both run.
     """
 
-    def __init__(self, plan: Plan, against: Against, how: How) -> None:
+    def __init__(self, plan: Plan, against: LoadedBaseline, how: How) -> None:
         self._plan = plan
         self._against = against
         self._how = how
         self._cleanup = ExitStack()
-        self._beside: Beside | None = None
+        self._control: ConcurrentControl | None = None
         self._setup: ComparisonSetup | None = None
         self._bar: tuple[int, Word] | None = None
         self._looked = 0
@@ -99,7 +99,7 @@ class Contest:
             self._setup = setup_of(run, self._against, self._plan.suite.gate)
         return run
 
-    def run_beside(self, places: Sequence[int]) -> None:
+    def run_control(self, places: Sequence[int]) -> None:
         """Run more trials of the control, from starts that the candidate meets next.
 
         Args:
@@ -108,11 +108,11 @@ class Contest:
         Raises:
             TrialError: one came to no result.
         """
-        assert self._beside is not None, "it has begun"
+        assert self._control is not None, "it has begun"
         assert self._setup is not None, "it has begun"
-        self._beside.run(places)
-        if not self._beside.is_interrupted:
-            self._against = replace(self._against, control=self._beside.control)
+        self._control.run(places)
+        if not self._control.is_interrupted:
+            self._against = replace(self._against, control=self._control.arm)
             self._setup = replace(self._setup, against=self._against)
 
     def end(self, run: RunInfo) -> None:
@@ -121,13 +121,13 @@ class Contest:
         Args:
             run: its run.json, once its trials have ended.
         """
-        beside = self._beside
-        if beside is None or beside.is_interrupted or run.interrupted or run.shard is not None:
+        control = self._control
+        if control is None or control.is_interrupted or run.interrupted or run.shard is not None:
             return
         if run.baseline is not None and run.baseline.checked == "control":
             every = range(len(self._plan.trials))
             stop = run.stop
-            beside.run([x for x in every if stop is None or stop.wants(x)], exactly=True)
+            control.run([x for x in every if stop is None or stop.wants(x)], exactly=True)
 
     def _looked_at(self, own: Session, interrupts: Interrupts) -> RunInfo:
         """Return run.json with what trials of the baseline show of this machine type."""
@@ -136,14 +136,14 @@ class Contest:
             f"baseline {name} has no results for this machine type, which is normal: its own "
             "policy runs first as a check"
         )
-        self._beside = beside = self._cleanup.enter_context(
-            Beside(self._plan, self._against, own, interrupts, self._how)
+        self._control = control = self._cleanup.enter_context(
+            ConcurrentControl(self._plan, self._against, own, interrupts, self._how)
         )
-        beside.run(beside.order[:CHUNK])
-        if beside.is_interrupted:
+        control.run(control.order[:CHUNK])
+        if control.is_interrupted:
             return run.model_copy(update={"interrupted": True})
-        self._against = replace(self._against, control=beside.control)
-        alike = self._plan.panel == "pinned" and beside.has_the_baselines_results()
+        self._against = replace(self._against, control=control.arm)
+        alike = self._plan.panel == "pinned" and control.has_the_baselines_results()
         if isinstance(alike, tuple):
             known = self._against.info.model_copy(update={"moved": alike})
             return run.model_copy(update={"baseline": known, "stop": StopInfo(first=0)})
@@ -155,10 +155,10 @@ class Contest:
             )
         if not alike and self._plan.shard is not None:
             # A part has all its trials, so that nothing is gained by waiting for the candidate's.
-            beside.run([trial.place for trial in self._plan.trials if trial.place is not None])
-            if beside.is_interrupted:
+            control.run([trial.place for trial in self._plan.trials if trial.place is not None])
+            if control.is_interrupted:
                 return run.model_copy(update={"interrupted": True})
-            self._against = replace(self._against, control=beside.control)
+            self._against = replace(self._against, control=control.arm)
         checked = "bits" if alike else "control"
         known = self._against.info.model_copy(update={"checked": checked, "moved": ()})
         return run.model_copy(update={"baseline": known})
@@ -173,9 +173,9 @@ class Contest:
         Args:
             ended: rows of trials that have ended, by index in the order.
         """
-        now, beside = self._standing(ended), self._beside
-        if now.ahead and beside is not None and self._is_controlled:
-            lacking = tuple(x for x in now.ahead if x not in beside.places)
+        now, control = self._standing(ended), self._control
+        if now.ahead and control is not None and self._is_controlled:
+            lacking = tuple(x for x in now.ahead if x not in control.places)
             if lacking and lacking[0] in now.ahead[: worker_count(self._how.workers, CHUNK)]:
                 return replace(now, lacks=lacking[:CHUNK])
         return replace(now, ahead=tuple(x for x in now.ahead if x not in ended))
@@ -287,7 +287,7 @@ CHUNK = 16
 """Trials of the baseline that run at once: workers take some seconds to start."""
 
 
-class Beside:
+class ConcurrentControl:
     """The baseline's policy beside a candidate: a run of its own; a context manager.
 
     Args:
@@ -302,7 +302,7 @@ class Beside:
     """
 
     def __init__(
-        self, plan: Plan, against: Against, own: Session, interrupts: Interrupts, how: How
+        self, plan: Plan, against: LoadedBaseline, own: Session, interrupts: Interrupts, how: How
     ) -> None:
         from nw_eval.api.plans import baseline_plan
 
@@ -320,7 +320,7 @@ class Beside:
         )
         self.places = set[int]()
         """Of what has run."""
-        self._control: ControlArm | None = None
+        self._arm: ControlArm | None = None
 
     def __enter__(self) -> Self:
         self._session.__enter__()
@@ -340,9 +340,9 @@ class Beside:
         return sorted(trial.place for trial in self._plan.trials if trial.place is not None)
 
     @property
-    def control(self) -> ControlArm | None:
+    def arm(self) -> ControlArm | None:
         """What has run so far; None if nothing has."""
-        return self._control
+        return self._arm
 
     def run(self, places: Collection[int], *, exactly: bool = False) -> None:
         """Run the trials at some positions of the candidate's order, those that have not run yet.
@@ -368,15 +368,15 @@ class Beside:
             )
         if not self.is_interrupted:
             nested = self._session.folder
-            self._control = ControlArm(run=own, rows=control_rows(nested, own, self._folder))
+            self._arm = ControlArm(run=own, rows=control_rows(nested, own, self._folder))
 
     def has_the_baselines_results(self) -> bool | tuple[str, ...]:
         """Return whether the trials so far have the baseline's bits; sentences where they do not.
 
         Only a candidate on the baseline's own starts can be asked.
         """
-        assert self._control is not None, "something has run"
-        baseline, rows = self._against.results, self._control.rows
+        assert self._arm is not None, "something has run"
+        baseline, rows = self._against.results, self._arm.rows
         panel = baseline.panels[0]
         if wrong := contradictions(rows, baseline, panel):
             return wrong
@@ -387,7 +387,7 @@ class Beside:
         )
 
 
-def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
+def _bundle(plan: Plan, against: LoadedBaseline, run: RunInfo) -> Bundle:
     """Return the baseline's policy: where the request says, or the baseline.
 
     Raises:

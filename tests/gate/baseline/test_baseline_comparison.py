@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from nw_eval import api
-from nw_eval.api.contest import Contest
+from nw_eval.api.baseline_comparison import BaselineComparison
 from nw_eval.engine.how import How
 from nw_eval.engine.machine import Interrupts
 from nw_eval.engine.provenance import run_info
@@ -68,7 +68,7 @@ def info_of(plan: Plan) -> RunInfo:
 
 
 class Course:
-    """A contest of a candidate, and what it scores in each trial of its order."""
+    """A comparison of a candidate, and what it scores in each trial of its order."""
 
     def __init__(self, plan: Plan, drawn_rows: Make, scores: Any) -> None:
         self.plan, self.run = plan, info_of(plan)
@@ -77,17 +77,17 @@ class Course:
         self.against = plan.against
         self.gate = plan.suite.gate
 
-    def contest(self, *, all_rounds: bool = False) -> Contest:
+    def comparison(self, *, all_rounds: bool = False) -> BaselineComparison:
         how = How(workers=2, cache=False, all_rounds=all_rounds)
-        contest = Contest(self.plan, self.against, how)
-        contest.begin(SimpleNamespace(info=self.run), Interrupts())
-        return contest
+        comparison = BaselineComparison(self.plan, self.against, how)
+        comparison.begin(SimpleNamespace(info=self.run), Interrupts())
+        return comparison
 
     def by_one(self) -> RunStanding:
         """Return what one worker ends with, that runs what comes next."""
-        contest = self.contest()
+        comparison = self.comparison()
         ended: dict[int, Row] = {}
-        while (now := contest.next(ended)).ahead:
+        while (now := comparison.next(ended)).ahead:
             ended[now.ahead[0]] = self.rows[now.ahead[0]]
         assert set(ended) == {*range(now.first), *now.followed}, "and nothing more"
         return now
@@ -105,7 +105,7 @@ class Course:
 
 @pytest.fixture
 def course(plain, make_baseline, drawn_rows, tmp_path):
-    """The contest of a candidate with a gate, against a baseline of one score in all scenes."""
+    """The comparison of a candidate with a gate, against a baseline of one score in all scenes."""
 
     @cache
     def planned(gate: str, baseline: float) -> Plan:
@@ -290,10 +290,10 @@ def test_a_scene_that_holds_back_a_pass_and_has_no_more_trials_leaves_it_open_an
 
 def test_where_all_rounds_are_wanted_every_trial_comes_next(course):
     met = course("max_drop: 0.3", PERFECT)
-    contest = met.contest(all_rounds=True)
+    comparison = met.comparison(all_rounds=True)
     ended = dict(enumerate(met.rows[:50]))
-    assert contest.next(ended).ahead == tuple(range(50, 60))
-    assert contest.next(dict(enumerate(met.rows))).ahead == ()
+    assert comparison.next(ended).ahead == tuple(range(50, 60))
+    assert comparison.next(dict(enumerate(met.rows))).ahead == ()
 
 
 def test_an_informational_scene_that_has_not_ended_is_run_and_holds_no_ruling_back(course):
@@ -303,7 +303,7 @@ def test_an_informational_scene_that_has_not_ended_is_run_and_holds_no_ruling_ba
     among = [row.scene for row in met.rows[: now.first]]
     assert SCENES[0] in among, "it has its part of the order"
     lacking = {x: row for x, row in enumerate(met.rows[: now.first]) if row.scene != SCENES[0]}
-    later = met.contest().next(lacking)
+    later = met.comparison().next(lacking)
     assert later.first == now.first
     assert later.ahead == tuple(x for x in range(now.first) if x not in lacking)
     rows, run = met.stopped(now)
@@ -326,10 +326,10 @@ def test_workers_that_run_ahead_end_with_the_same_trials_and_verdict(course, see
     met = course(f"{bar}max_drop: 0.35, tolerate: 0.3{tiers}", scores)
     alone = met.by_one()
     workers = int(rng.integers(2, 7))
-    contest, going = met.contest(), list[int]()
+    comparison, going = met.comparison(), list[int]()
     ended = {}
     while True:
-        now = contest.next(ended)
+        now = comparison.next(ended)
         if not now.ahead:
             break
         going += [place for place in now.ahead[:workers] if place not in going]
@@ -337,7 +337,7 @@ def test_workers_that_run_ahead_end_with_the_same_trials_and_verdict(course, see
         ended[place] = met.rows[place]
     assert now == alone
     # Whoever goes on later with what there is, in one look, finds the same.
-    assert met.contest().next(ended) == alone
+    assert met.comparison().next(ended) == alone
     rows, run = met.stopped(alone)
     verdict = judge_run(rows, run, met.gate, met.against)
     if run.stop is not None:
