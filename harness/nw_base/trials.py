@@ -16,7 +16,7 @@ from nw_base.plugins import is_measure
 from nw_base.words import Tier
 
 MAX_TRIALS = 1_000_000
-"""Most trials of one run; more is a slip of the pen."""
+"""Most trials of one run; more is a typo."""
 
 
 DrawnStart = tuple[str, tuple[tuple[str, float], ...], int]

@@ -496,7 +496,7 @@ def _write(handle: IO[bytes], data: bytes) -> None:
             written += handle.write(data[written:])
         os.fsync(handle.fileno())
     except OSError:
-        handle.truncate(before)  # Half a line is of no use.
+        handle.truncate(before)  # A partial line is useless.
         raise
 
 

@@ -98,7 +98,7 @@ class LedgerReport:
 def ledger_report(
     entries: Sequence[LedgerEntry], *, dropped: str | None = None, head: str = ""
 ) -> LedgerReport:
-    """Reckon up a ledger.
+    """Summarise a ledger.
 
     A wrong word has at most the probability that its test was set to, so that some tests together
     give on average at most the sum of these of them, whether they are independent or not. And at

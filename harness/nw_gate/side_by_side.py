@@ -182,7 +182,7 @@ class ComparedScore:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneParting:
-    """The first waypoint at which a policy parts from the first one."""
+    """The first waypoint at which a policy diverges from the first one."""
 
     scene: str | None
     """None: all scenes together."""
@@ -233,7 +233,7 @@ def side_by_side(entrants: Sequence[Entrant], confidence: float = 0.95) -> Polic
     """Return what policies show side by side.
 
     Args:
-        entrants: at least two; where they part is where each parts from the first.
+        entrants: at least two; where they diverge is where each diverges from the first.
         confidence: of each interval alone; of all ranks together; of all partings together.
 
     Raises:
@@ -347,7 +347,7 @@ def _scenes(entrants: Sequence[Entrant]) -> list[str]:
 
 
 def _successes(entrant: Entrant, names: Sequence[StartName]) -> NDArray[np.float64]:
-    # Neither a baseline nor a trial that came to a result is without one.
+    # Neither a baseline nor a trial that have a result is without one.
     return np.array([entrant.results[name].success for name in names], dtype=np.float64)
 
 
@@ -435,7 +435,7 @@ def _labels(entrants: Sequence[Entrant]) -> list[str]:
 def _partings(
     entrants: Sequence[Entrant], starts: Sequence[_Starts], confidence: float
 ) -> tuple[tuple[SceneParting, ...], int]:
-    """Return where each policy parts from the first, and how many waypoints were looked at."""
+    """Return where each policy diverges from the first, and how many waypoints were looked at."""
     first, *others = [
         {scene: _ends(entrant, names) for scene, names in scenes.items()}
         for entrant, scenes in zip(entrants, starts, strict=True)

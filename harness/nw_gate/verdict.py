@@ -223,7 +223,7 @@ class SceneDrop:
     """The first waypoint, from 1, at which the two part significantly: of a scene that regressed or
     may have, or has the largest drop of a policy that regressed."""
     ends: tuple[Ends, Ends] | None = None
-    """Of all starts of the baseline, and of the trials judged that came to a result: how many ended
+    """Of all starts of the baseline, and of the trials judged that have a result: how many ended
     after 0, 1, .. K waypoints. None where the scene has no waypoints."""
 
     @property

@@ -405,8 +405,8 @@ def _faults_of(name: Any, values: Any, *, is_saved: bool) -> Iterator[InitErrorD
     """Yield what is wrong with an axis that is not built in.
 
     Args:
-        name: as the suite has it.
-        values: as above.
+        name: of the axis, as the suite has it.
+        values: of the axis, as the suite has them.
         is_saved: whether its package is installed elsewhere only: any numbers are fine then.
     """
     if not is_saved and not (isinstance(name, str) and is_axis(name)):

@@ -49,7 +49,7 @@ class AttributionPlan:
     tries: int
     """In each trial, at most."""
     minutes: float
-    """Of wall time, about, at most; reckoned from what the run's own trials took."""
+    """Of wall time, about, at most; computed from what the run's own trials took."""
     workers: int
 
 

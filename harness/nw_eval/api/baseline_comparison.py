@@ -80,11 +80,11 @@ class BaselineComparison:
 
         Args:
             own: the candidate's run, of which no trial has run in this session.
-            interrupts: hears signals while trials run.
+            interrupts: receives signals while trials run.
 
         Raises:
             IncomparableError: the baseline's policy is not here.
-            TrialError: a trial of the baseline's policy came to no result.
+            TrialError: a trial of the baseline's policy produced no result.
         """
         run, name, policy = own.info, self._against.info.name, self._plan.bundle.name
         if self._plan.is_baseline:
@@ -106,7 +106,7 @@ class BaselineComparison:
             places: of the drawn order.
 
         Raises:
-            TrialError: one came to no result.
+            TrialError: one produced no result.
         """
         assert self._control is not None, "it has begun"
         assert self._setup is not None, "it has begun"
@@ -294,7 +294,7 @@ class ConcurrentControl:
         plan: the candidate's.
         against: the baseline.
         own: the candidate's run.
-        interrupts: hears signals while trials run.
+        interrupts: receives signals while trials run.
         how: how the candidate runs.
 
     Raises:
@@ -352,8 +352,8 @@ class ConcurrentControl:
             exactly: whether only these are to be kept of all that have run.
 
         Raises:
-            TrialError: a trial of the baseline's policy came to no result, or not to what the cache
-                says.
+            TrialError: a trial of the baseline's policy produced no result, or another one than the
+                cache has.
         """
         self.places = set(places) if exactly else self.places | set(places)
         self._session.run_these(self.places)

@@ -84,7 +84,7 @@ def save_baseline(
     Raises:
         UsageError, SuiteError, PolicyError: nothing was run.
         KeyboardInterrupt: it was interrupted; the trials that have ended are kept.
-        TrialError: a trial came to no result, or to another one than the cache says; no baseline
+        TrialError: a trial produced no result, or another one than the cache has; no baseline
             was written.
         StoreError: results cannot be written, or the baseline that is there is damaged.
         IncomparableError: the run makes no baseline.

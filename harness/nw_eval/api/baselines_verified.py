@@ -25,7 +25,7 @@ SHARE = "10%"
 
 @dataclass(frozen=True, kw_only=True)
 class VerifiedBaseline:
-    """What starts of a baseline came to when its own policy ran them again."""
+    """The results of re-running initial states of a baseline with its own policy."""
 
     file: Path
     baseline: BaselineResults
@@ -34,19 +34,19 @@ class VerifiedBaseline:
     drawn: int
     """How many were drawn."""
     ran: int
-    """How many came to a result."""
+    """How many have a result."""
     has_panel: bool
     """Whether the baseline has been run on this machine type, so that bits must be equal."""
     differing: tuple[str, ...]
     """A sentence for each row that is not as the baseline says, with both values."""
     faults: tuple[str, ...]
-    """Trials that came to no result now, and why."""
+    """Trials that had no result this time, and why."""
     interrupted: bool = False
     """Whether a signal ended it before its last trial."""
 
     @property
     def exit_code(self) -> int:
-        """0 all equal, 5 some differ, 4 a trial came to no result and none differs."""
+        """0 all equal, 5 some differ, 4 a trial produced no result and none differs."""
         if self.differing:
             return IncomparableError.exit_code
         return TrialError.exit_code if self.faults or self.ran < self.drawn else 0
@@ -78,7 +78,7 @@ def verify_baseline(
             workers, listener.
 
     Raises:
-        UsageError: there is no such baseline or suite, or `trials` is of no use.
+        UsageError: there is no such baseline or suite, or `trials` is invalid.
         SuiteError, PolicyError: the suite, or the baseline's policy, cannot be used.
         StoreError: the baseline is damaged.
         IncomparableError: it does not hold here, or its policy is another one.

@@ -27,7 +27,7 @@ that it was planned with, and a process of its own takes a third of a second to 
 
 
 def wanted_baseline(request: Request, suite: Suite, *, own_policy: bool) -> LoadedBaseline | None:
-    """Return the baseline to compare with; None if there is to be none.
+    """Return the baseline to compare with; None when no baseline is wanted.
 
     Args:
         request: what is asked for.
@@ -38,7 +38,7 @@ def wanted_baseline(request: Request, suite: Suite, *, own_policy: bool) -> Load
     Raises:
         UsageError: there is no such baseline.
         StoreError: it is damaged.
-        IncomparableError: it is none, or of another version.
+        IncomparableError: it is not a baseline file, or has another version.
     """
     from nw_gate.results.baseline_file import find_baseline
 
@@ -56,7 +56,7 @@ def kept_baseline(
     """Return the baseline that a run was begun with, from the copy in its folder, or where it was.
 
     Args:
-        folder: of the run.
+        folder: the run's folder.
         info: its run.json.
         elsewhere: whether the path that run.json names may be read.
 
@@ -125,10 +125,10 @@ def control_rows(nested: RunFolder, own: RunInfo, folder: RunFolder) -> tuple[Ro
 def judging_baseline(
     folder: RunFolder, info: RunInfo, suite: Suite, reference: str | None
 ) -> LoadedBaseline | None:
-    """Return the baseline to judge the rows of a run against; None if there is to be none.
+    """Return the baseline to judge a run against; None when no baseline is wanted.
 
     Args:
-        folder: of the run.
+        folder: the run's folder.
         info: its run.json.
         suite: its suite.
         reference: the baseline that is asked for; if None, that which the run was begun against, or
@@ -153,7 +153,7 @@ def resumed_baseline(
     """Return the baseline to go on with in a run: the one that it was begun with.
 
     Args:
-        folder: of the run.
+        folder: the run's folder.
         info: its run.json.
         suite: its suite.
         request: what is asked for now.

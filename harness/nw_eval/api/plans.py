@@ -168,7 +168,7 @@ def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> N
     rules = TaskRules(duration=suite.episode.duration)
     try:
         fault = fault_of(suite.task, hears=bundle.card.hears, rules=rules)
-    except NwEvalError:  # Its package is missing or broken, which is told already.
+    except NwEvalError:  # Its package is missing or broken, as already reported.
         return
     if fault is not None:
         place = ".".join(map(str, ("task", *fault.location)))
@@ -406,7 +406,7 @@ def check(
 
     Args:
         request: as for `plan`.
-        workers: processes to reckon with (default: one for each core).
+        workers: processes to plan for (default: one for each core).
         changes: fields of `Request` by name.
 
     Raises:
@@ -550,7 +550,7 @@ def open_policy(
         draft: the suite.
         faults: where to tell what is wrong.
         request: what is asked for in place of the suite's own.
-        robot: that the suite runs; None = its own fault is told already.
+        robot: that the suite runs; None = its own fault is already reported.
         card: where the policy lies, if that is known.
         may_fail: as for `vet_bundle`.
     """
@@ -622,7 +622,7 @@ def _vet_policy(
         faults: where to tell what is wrong.
         request: what is asked for in place of the suite's own.
         bundle: the policy.
-        robot: that the suite runs; None = its own fault is told already.
+        robot: that the suite runs; None = its own fault is already reported.
         may_fail: as for `vet_bundle`.
     """
     from nw_base.protocol import PROTOCOLS, STRICT

@@ -83,7 +83,7 @@ def roll_out(
         resume: the folder of an interrupted run.
 
     Raises:
-        UsageError: a label is none.
+        UsageError: an invalid label.
         IncomparableError, StoreError, SceneError, TrialError, PrerequisiteError: as `run`.
     """
     from nw_eval.api.baseline_comparison import BaselineComparison

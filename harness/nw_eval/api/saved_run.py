@@ -91,7 +91,7 @@ def saved_rows(folder: RunFolder, info: RunInfo) -> tuple[Row, ...]:
     """Return the rows of a run's plan.
 
     Args:
-        folder: of the run.
+        folder: the run's folder.
         info: its run.json.
 
     Raises:

@@ -92,7 +92,7 @@ def bisect(
     Raises:
         UsageError, SuiteError, PolicyError: a checkpoint or the suite cannot be used.
         IncomparableError: the baseline does not hold here, or moved on this machine.
-        TrialError: a trial came to no result.
+        TrialError: a trial produced no result.
         StoreError: results cannot be written.
     """
     from nw_eval.suite import load_suite

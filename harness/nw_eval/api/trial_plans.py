@@ -26,7 +26,7 @@ class TrialPlan:
 
     suite: str
     source: str
-    """What it is reckoned from: a baseline or a run, in words."""
+    """What it is computed from: a baseline or a run, as text."""
     outset: Outset
     """What is known before the first trial: the baseline's scores, margins, budget."""
     detect: float

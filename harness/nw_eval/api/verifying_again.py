@@ -155,7 +155,7 @@ def compared(row: Row, again: Row, *, run: RunFolder, now: RunFolder) -> Repeate
     """Compare a trial of a run with what it comes to now.
 
     Args:
-        row: of the run.
+        row: one of the run's.
         again: of the trial that was run again.
         run: the folder of the run, and
         now: the one that the trial was run in.

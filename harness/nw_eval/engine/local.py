@@ -48,7 +48,7 @@ class LocalProcesses:
 
     Args:
         jobs: all of the run.
-        folder: of the run.
+        folder: the run's folder.
         run: called with each job in a worker.
         memory_limit: bytes that a worker may hold with its children.
         builders: of splats that are not there yet; None = all are.

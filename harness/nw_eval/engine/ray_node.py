@@ -91,7 +91,7 @@ def make_ready(spec: JobSpec, pieces: Mapping[str, Sequence[Any]]) -> None:
     """Get what is missing, and compile what all workers need, as the head does for its own.
 
     Args:
-        spec: of the run.
+        spec: the run's.
         pieces: references of Ray's to the pieces of each file that was missing, by sha256.
 
     Raises:
@@ -157,7 +157,7 @@ class NodeAgent:
     """Runs jobs on a node; an actor of Ray's.
 
     Args:
-        spec: of the run.
+        spec: the run's.
         jobs: one of each scene, for what workers may read.
         workers: how many jobs run at a time.
         fresh: whether each job has a process of its own.

@@ -144,7 +144,7 @@ class Session:
     Args:
         plan: what is to be run.
         how: how it is run.
-        interrupts: hears signals while trials run.
+        interrupts: receives signals while trials run.
         out: the run's folder (default: a new one in `reports/`).
         resume: the folder of an interrupted run, whose finished trials are kept.
         meanwhile: called in a thread while trials run in other processes; it raises nothing.
@@ -175,14 +175,14 @@ class Session:
 
     def __enter__(self) -> Self:
         plan, how, told = self._plan, self._how, self._how.told
-        words = told_of_cache()  # Before anything is written, if a size is none.
+        words = told_of_cache()  # Before anything is written, as a size may be invalid.
         if words and not how.uncached:
             told.message(words)
         with ExitStack() as stack:
             self._place = stack.enter_context(worker_pool(how))
             self._builders = stack.enter_context(
                 SplatBuilders(
-                    _in_need(plan) if plan.renders else (),
+                    _scenes_by_first_use(plan) if plan.renders else (),
                     count=worker_count(self._place.workers, len(plan.scenes)),
                     on_demand=not needs_splats_first(plan.bundle.card, plan.suite.record),
                     listener=told,
@@ -308,7 +308,7 @@ class Session:
             self._meanwhile()
 
 
-def _in_need(plan: Plan) -> list[Scene]:
+def _scenes_by_first_use(plan: Plan) -> list[Scene]:
     """Return the scenes of a plan in the order in which its trials need them."""
     names = dict.fromkeys(trial.scene for trial in in_order(plan.trials))
     scenes = {scene.name: scene for scene in plan.scenes}

@@ -60,9 +60,9 @@ class WorkerPool:
         """Give what gets workers for the jobs of a plan inside the `with` block.
 
         Args:
-            plan: of the run.
+            plan: the run's.
             jobs: of the plan.
-            folder: of the run.
+            folder: the run's folder.
             listener: told of progress.
             builders: of the splats that processes of this machine do not wait for all.
 

@@ -185,7 +185,7 @@ def draw_curve(points: Sequence[CurvePoint], path: Path, *, margins: Margins, ti
     Args:
         points: of the curve, drops rising.
         path: of the PNG.
-        margins: of the gate.
+        margins: the gate's.
         title: what it is the curve of.
 
     Raises:

@@ -41,7 +41,7 @@ def write_sweep(axes: Sequence[Sequence[AxisCurve]], suite: str, out: Path) -> N
 
 
 def sweep_words(curves: Sequence[AxisCurve]) -> list[str]:
-    """Return what the curves of one axis say: cliffs, and where policies part from the first."""
+    """Return what the curves of one axis say: cliffs, and where policies diverge from the first."""
     lines = [line for curve in curves for line in cliff_words(curve)]
     return lines + [parting_words(curves[0], other) for other in curves[1:]]
 

@@ -278,7 +278,7 @@ class TrialPanel:
 
 
 def _events_of(traces: Sequence[Trace]) -> list[tuple[float, str]]:
-    """Return what happened in the first of the trials, and where the others part from it."""
+    """Return what happened in the first of the trials, and where the others diverge from it."""
     found = list(traces[0].events)
     for trace in traces[1:]:
         apart = parting(traces[0], trace)

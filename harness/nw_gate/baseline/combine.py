@@ -164,7 +164,7 @@ def combined(verdict: Verdict, comparison: Comparison) -> Verdict:
         comparison: of the same rows with the baseline.
     """
     word = _word(verdict.verdict, comparison.word)
-    # More trials are of no use once the bar has flagged.
+    # More trials change nothing once the bar has flagged.
     more = (comparison.more,) if comparison.more and word == "INCONCLUSIVE" else ()
     reasons = (*comparison.reasons, *more, *verdict.reasons)
     if verdict.verdict == word != comparison.word:

@@ -2,9 +2,9 @@
 
 The candidate's rows become trials in the order of the draw (`finding.Met`), these become evidence
 and a word (`finding.find`), and what that may claim depends on what the baseline is to the run
-(`match.basis_of`). Here are also the waypoint at which the candidate parts from the baseline, the
-comparison in words, and what is simulated for a report: other policies at this gate, and this one
-after more trials.
+(`match.basis_of`). Here are also the waypoint at which the candidate diverges from the baseline,
+the comparison in words, and what is simulated for a report: other policies at this gate, and this
+one after more trials.
 """
 
 from __future__ import annotations
@@ -395,7 +395,7 @@ def _waypoints(
     """Return the first waypoint, from 1, of each stratum at which the two part significantly.
 
     The baseline is all of its starts, or the control's trials beside the candidate's; the
-    candidate is the trials judged that came to a result. All strata are looked at together
+    candidate is the trials judged that have a result. All strata are looked at together
     (`stats.hazard`), and some may have none.
 
     Args:

@@ -350,7 +350,7 @@ def baseline_of_run(
     if errors := [row for row in rows if row.status == "error"]:
         first = min(errors, key=lambda row: row.trial_id)
         raise TrialError(
-            f"{len(errors)} of {plural(len(rows), 'trial')} of run {run.id} came to no result, "
+            f"{len(errors)} of {plural(len(rows), 'trial')} of run {run.id} have no result, "
             f"first {first.trial_id}: {first.error_text or first.outcome}",
             fix="try them again: the same command, or `nw-eval run --resume`",
         )

@@ -110,7 +110,7 @@ class Request:
             changes: values of fields by name; a list does for a tuple, a text for a path.
 
         Raises:
-            UsageError: a value is of no use for its field.
+            UsageError: a value is invalid for its field.
             TypeError: there is no such field.
         """
         from pydantic import TypeAdapter, ValidationError

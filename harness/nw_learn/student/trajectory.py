@@ -82,7 +82,7 @@ class Trajectory:
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Read a trajectory; a file that is none runs no code.
+    """Read a trajectory; a file of another kind runs no code.
 
     Raises:
         StoreError: it is missing, damaged or something else.

@@ -1,4 +1,4 @@
-"""The studies that there are: whom each trains, what it reckons, how it draws it.
+"""The studies that there are: the policy each trains, what it computes, how it plots it.
 
 * Single-scene: how well does a student of one scene do in each of the others?
 * Multi-scene: how well does a student of many scenes do, round after round, in new ones?

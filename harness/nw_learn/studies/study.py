@@ -62,7 +62,7 @@ def open_study(
         out: its folder (default: `runs/NAME`).
         resume: the folder of a study to go on with.
         say: takes a line for people.
-        listening: makes what hears of one evaluation.
+        listening: makes the listener of one evaluation.
         workers: processes (default: one for each core).
 
     Raises:
@@ -106,7 +106,7 @@ class StudyRun:
         students: in their order.
         trials: of an evaluation in each scene.
         say: takes a line for people.
-        listening: makes what hears of one evaluation.
+        listening: makes the listener of one evaluation.
         workers: processes (default: one for each core).
     """
 
@@ -413,7 +413,7 @@ def outcomes_of(run: Path, student: str, number: int) -> tuple[Outcome, ...]:
 
 
 class StudyProgress:
-    """Says which stage begins. What is left is reckoned with how long stages of its kind took here.
+    """Says which stage begins. The time left is estimated from earlier stages of its kind.
 
     Args:
         say: takes a line.

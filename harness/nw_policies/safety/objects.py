@@ -125,7 +125,7 @@ class Index:
 
 @dataclass(frozen=True, kw_only=True)
 class Opaque:
-    """A harmless value that is of no use here, such as a NumPy scalar."""
+    """A harmless value that is not needed here, such as a NumPy scalar."""
 
     name: str
 
@@ -186,8 +186,8 @@ def read_index(
 
     Args:
         index: as for `read_objects`.
-        where: as above.
-        limits: as above.
+        where: as for `read_objects`.
+        limits: as for `read_objects`.
         pickled: whether it is a file of `pickle.dump`, which may hold arrays.
 
     Raises:

@@ -24,7 +24,7 @@ from nw_base.errors import (
 if TYPE_CHECKING:
     from nw_base.words import PolicyFault
 
-# Where an object lies in memory differs from process to process, and is of no use.
+# Where an object lies in memory differs from process to process, and is useless.
 _ADDRESS = re.compile(r"\b0x[0-9a-fA-F]{5,}")
 
 

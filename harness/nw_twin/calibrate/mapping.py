@@ -167,7 +167,7 @@ def fitting(
 def _attended(
     work: Callable[[], _Result], stop: Callable[[], None], at: Callable[[], None]
 ) -> _Result:
-    """Return what work in a thread of its own returns: this one hears signals meanwhile.
+    """Return what work in a thread of its own returns: this thread receives signals meanwhile.
 
     Args:
         work: that takes long, and lets other threads run.

@@ -361,7 +361,6 @@ class ControlPanel:
         run: wraps every action.
 
     Attributes:
-        gui: as above.
         by_name: what was added, by its label.
     """
 

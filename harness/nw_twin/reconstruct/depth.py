@@ -104,7 +104,7 @@ def depth_maps(
         folder: of the capture.
         out: of the mesh.
         options: see there.
-        say: is told of each shot.
+        say: receives a message for each shot.
         threads: shots at once; no result depends on them.
 
     Returns:

@@ -361,7 +361,7 @@ def reconstruct(
         capture_folder: of `nw_twin.capture`.
         out: a folder for the results, made if it is not there.
         options: see there.
-        say: is told of progress.
+        say: receives progress messages.
         threads: at once; the results have the same bits with any number.
 
     Raises:

@@ -232,7 +232,7 @@ def operating_curve(
     Args:
         seen: the baseline's trials, waypoints reached in each scene. Without `starts` they are the
             baseline itself, with as many in each scene.
-        rules: of the gate.
+        rules: the gate's.
         budget: most trials, no more than the baseline has pairs of a scene and a start.
         starts: M of a baseline that is not there yet. Baselines are then drawn, one a repetition,
             from what was seen, as if the success that was seen were the true one.
@@ -289,7 +289,7 @@ def progress_at(
 
     Args:
         seen: as for `operating_curve`.
-        rules: of the gate.
+        rules: the gate's.
         drop: below the baseline's success.
         starts: as for `operating_curve`.
         repetitions: simulated gates.
@@ -354,7 +354,7 @@ def progress_from(
         trials: all that may still come, in the order drawn, shape (T,), those that have ended among
             them. Of the others the candidate's success, and a control's, is not looked at; NaN
             where a trial that has ended has no result.
-        rules: of the gate.
+        rules: the gate's.
         known: which have ended, shape (T,).
         seen: the baseline's trials in each scene.
         repetitions: simulated ends.

@@ -253,7 +253,7 @@ def settle(
     Args:
         reference: a baseline or `Reference.control`, without leading axes.
         trials: all of the budget in the order drawn, shape (T,).
-        rules: of the gate.
+        rules: the gate's.
         known: which of them have ended, shape (T,), with a result or without any; all if None. Of
             one that has not nothing is looked at, nor of any that comes after it and would only be
             judged if it settled nothing.
@@ -284,10 +284,10 @@ def _rule(
             be judged, nothing is looked at.
         count: trials that have ended before the first that has not.
         ended: which have, shape (T,).
-        rules: of the gate.
+        rules: the gate's.
     """
-    convicting, passing = _reached(scenes[:count], every, rules)
-    flags, passes = _first(convicting), _first(passing)
+    flagging, passing = _reached(scenes[:count], every, rules)
+    flags, passes = _first(flagging), _first(passing)
     mean = min(count, flags + 1, passes + 1)
     found = _Scenes(scenes[:mean], every.own[:mean], rules)
     word: _Word = "undecided"
@@ -326,7 +326,7 @@ class _Scenes:
     Args:
         scenes: of the trials so far, in order, shape (T,).
         own: E_s after each, shape (T,).
-        rules: of the gate.
+        rules: the gate's.
     """
 
     def __init__(self, scenes: Places, own: Floats, rules: TrialRules) -> None:

@@ -233,7 +233,7 @@ class McapWriter:
         self._chunks: list[ChunkIndex] = []
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
-        self._parts: list[bytes] = []  # of the chunk in the making
+        self._parts: list[bytes] = []  # of the chunk under construction
         self._size = 0  # bytes of them
         self._index: list[NDArray[np.int64]] = []  # channel, time, place in the chunk, (M, 3) each
         stream.write(_MAGIC)

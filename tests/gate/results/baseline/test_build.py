@@ -81,7 +81,7 @@ def test_a_run_with_an_error_or_a_hole_is_no_baseline(run, rows, make_row):
         baseline_of_run(rows[1:], run, name="p")
     error = {"status": "error", "outcome": "hung", "success": None}
     broken = make_row(trial_id="t", error_text="no answer", **error)
-    with pytest.raises(TrialError, match="1 of 12 trials of run r1 came to no result, first t: no"):
+    with pytest.raises(TrialError, match="1 of 12 trials of run r1 have no result, first t: no"):
         baseline_of_run([broken, *rows[1:]], run, name="p")
 
 
