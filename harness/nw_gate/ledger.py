@@ -507,9 +507,9 @@ def _read(path: Path, stream: IO[bytes]) -> LedgerContents:
     good, last_sum = 0, ""
     sums: list[str] = []
     for number, line in enumerate(iter(lambda: stream.readline(_LONGEST_LINE), b""), start=1):
-        place = f"{path}:{number}"
+        location = f"{path}:{number}"
         if not line.endswith(b"\n") and len(line) < _LONGEST_LINE:
-            dropped = f"{place}: dropped a line that was cut off after {len(line)} bytes"
+            dropped = f"{location}: dropped a line that was cut off after {len(line)} bytes"
             return LedgerContents(
                 entries=tuple(entries), dropped=dropped, good_bytes=good, sums=tuple(sums)
             )
@@ -523,9 +523,9 @@ def _read(path: Path, stream: IO[bytes]) -> LedgerContents:
         except ValidationError as error:
             first = error.errors()[0]
             fault = f"{'.'.join(map(str, first['loc']))}: {first['msg'].lower()}"
-            raise StoreError(f"{place}: {clean(fault, at_most=200)}", fix=_MEND) from None
+            raise StoreError(f"{location}: {clean(fault, at_most=200)}", fix=_MEND) from None
         except (ValueError, TypeError, LookupError, RecursionError) as error:
-            raise StoreError(f"{place}: damaged ({clean(error)})", fix=_MEND) from None
+            raise StoreError(f"{location}: damaged ({clean(error)})", fix=_MEND) from None
         good += len(line)
         sums.append(last_sum)
     return LedgerContents(entries=tuple(entries), good_bytes=good, sums=tuple(sums))

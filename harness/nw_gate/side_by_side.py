@@ -427,8 +427,8 @@ def _labels(entrants: Sequence[Entrant]) -> list[str]:
     ]
     clashing = Counter(labels)
     return [
-        label if clashing[label] == 1 else f"{label} #{place}"
-        for place, label in enumerate(labels, 1)
+        label if clashing[label] == 1 else f"{label} #{index}"
+        for index, label in enumerate(labels, 1)
     ]
 
 

@@ -237,7 +237,7 @@ class BaselineComparison:
             self._bar = 0, "RAN"
         while self._bar is None and self._looked < count:
             self._looked += 1
-            rows = [ended[place] for place in range(self._looked)]
+            rows = [ended[index] for index in range(self._looked)]
             scenes = [scene.name for scene in self._plan.scenes]
             word = word_of_bar(rows, self._plan.suite.gate, scenes)
             if word in {"PASS", "REGRESSED"}:
@@ -257,7 +257,7 @@ def _names(strata: Iterable[Stratum]) -> tuple[str, ...]:
 
 
 def _first_missing(ended: Mapping[int, Row]) -> int:
-    return next(place for place in range(len(ended) + 1) if place not in ended)
+    return next(index for index in range(len(ended) + 1) if index not in ended)
 
 
 def _ends_at(finding: Finding, bar: tuple[int, Word] | None) -> int | None:

@@ -171,11 +171,11 @@ def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> N
     except NwEvalError:  # Its package is missing or broken, as already reported.
         return
     if fault is not None:
-        place = ".".join(map(str, ("task", *fault.location)))
+        location = ".".join(map(str, ("task", *fault.location)))
         faults.extend(
             [
                 suite.source.problem(
-                    ("task", *fault.location), f"{place}: {fault.message}", fault.fix
+                    ("task", *fault.location), f"{location}: {fault.message}", fault.fix
                 )
             ]
         )

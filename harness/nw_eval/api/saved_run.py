@@ -45,8 +45,8 @@ def saved_suite(info: RunInfo) -> Suite:
         suite = new_suite(info.suite, Source(file=info.suite_file, folder=folder))
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(str(part) for part in ("suite", *first["loc"]))
-        raise _damaged(info, f"{place}: {first['msg'].lower()}") from None
+        location = ".".join(str(part) for part in ("suite", *first["loc"]))
+        raise _damaged(info, f"{location}: {first['msg'].lower()}") from None
     if suite.digest != info.suite_digest:
         raise _damaged(info, f"its suite is {suite.digest[:8]}, not {info.suite_digest[:8]}")
     return suite

@@ -109,13 +109,13 @@ def bisect(
     baseline = _baseline_of(good, request, read.name, baseline_trials, how)
     runs: dict[int, RunReport] = {}
 
-    def word(place: int) -> Decision:
-        name = f"{place + 1:02d}-{re.sub(r'[^A-Za-z0-9_.]+', '-', Path(series[place]).stem)}"
-        asked_for = _of(request, series[place], baseline)
-        runs[place] = _judged(asked_for, folder / name, how)
-        finding = _finding(runs[place])
+    def word(index: int) -> Decision:
+        name = f"{index + 1:02d}-{re.sub(r'[^A-Za-z0-9_.]+', '-', Path(series[index]).stem)}"
+        asked_for = _of(request, series[index], baseline)
+        runs[index] = _judged(asked_for, folder / name, how)
+        finding = _finding(runs[index])
         if progress is not None:
-            progress(series[place], finding)
+            progress(series[index], finding)
         return finding
 
     found = None
@@ -163,7 +163,7 @@ def _of_folders(
             series.append(each)
             continue
         found = checkpoints_in(Path(each))
-        there = {path.resolve(): place for place, path in enumerate(found)}
+        there = {path.resolve(): index for index, path in enumerate(found)}
         first = there.get(Path(good).resolve(), -1) + 1
         last = there.get(Path(bad).resolve(), len(found))
         found = found[first:last]

@@ -146,10 +146,10 @@ def _title(found: PolicyComparison) -> str:
 
 
 def _draw_means(axes: Axes, found: PolicyComparison) -> None:
-    for place, each in enumerate(found.policies):
-        axes.plot([place, place], each.interval, color="black", linewidth=1.5)
-        axes.plot(place, each.mean, "o", color="black")
-        axes.annotate(f"{each.mean:.3f}", (place, each.mean), (8, -3), textcoords="offset points")
+    for index, each in enumerate(found.policies):
+        axes.plot([index, index], each.interval, color="black", linewidth=1.5)
+        axes.plot(index, each.mean, "o", color="black")
+        axes.annotate(f"{each.mean:.3f}", (index, each.mean), (8, -3), textcoords="offset points")
     axes.set(ylim=(-0.05, 1.05), ylabel="success")
     axes.grid(axis="y", alpha=0.3)
 

@@ -54,7 +54,7 @@ class Met:
     def places(self, judged: Sequence[Stratum]) -> Places:
         """Return the positions of the trials of some strata, in order, shape (T,)."""
         which = set(judged)
-        found = [place for place, (*stratum, _) in enumerate(self.order) if tuple(stratum) in which]
+        found = [index for index, (*stratum, _) in enumerate(self.order) if tuple(stratum) in which]
         return np.array(found, dtype=np.intp)
 
     def ended(self, places: Iterable[int]) -> list[bool]:
@@ -125,13 +125,13 @@ class Met:
         found = (place for place in sorted(places) if self.order[place][:2] == stratum)
         return [row for place in found if self._is_whole(place) and (row := rows[place])]
 
-    def _is_whole(self, place: int) -> bool:
+    def _is_whole(self, index: int) -> bool:
         """Return whether a trial has a result that counts, and its control's has one, too."""
-        known = not isnan(self._score(self.rows[place]))
-        return known and (self.control is None or not isnan(self._score_beside(place)))
+        known = not isnan(self._score(self.rows[index]))
+        return known and (self.control is None or not isnan(self._score_beside(index)))
 
-    def _score_beside(self, place: int) -> float:
-        row = None if self.control is None else self.control[place]
+    def _score_beside(self, index: int) -> float:
+        row = None if self.control is None else self.control[index]
         counted = None if row is None or row.trial_id in self.control_left else self.counted(row)
         return nan if counted is None else counted
 

@@ -228,7 +228,7 @@ def compare(
     finding = setup.find(met, alone=power_forecast)
     basis, panel, strata = setup.basis, setup.panel, setup.strata
     used = frozenset(finding.used) | {
-        place for place in range(finding.first) if met.order[place][0] not in _scenes(setup)
+        index for index in range(finding.first) if met.order[index][0] not in _scenes(setup)
     }
     parting = _waypoints(finding.worst, met, used, panel)
     scenes = [

@@ -185,8 +185,8 @@ def _manifest(text: str | None, path: Path) -> Manifest:
         return Manifest.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(str(part) for part in ("manifest", *first["loc"]))
-        raise _unusable(path, clean(f"{place}: {first['msg'].lower()}", at_most=300)) from None
+        location = ".".join(str(part) for part in ("manifest", *first["loc"]))
+        raise _unusable(path, clean(f"{location}: {first['msg'].lower()}", at_most=300)) from None
     except (ValueError, RecursionError):
         raise _unusable(path, "its manifest is no JSON") from None
 
@@ -477,7 +477,7 @@ def _fault_of_machines(baseline: BaselineResults) -> str | None:
         return f"it has {len(machines)} panels, over {MOST_PANELS}"
     if machines != [panel.machine for panel in baseline.manifest.panels]:
         return "its results are not those that its manifest lists"
-    if any(machine in machines[:place] for place, machine in enumerate(machines)):
+    if any(machine in machines[:index] for index, machine in enumerate(machines)):
         return "it has two sets of results from one class of machine"
     return None
 

@@ -225,7 +225,7 @@ def joined(
             one = SourcedRow(row=row, sources=alone)
             earlier = held.get(row.trial_id)
             held[row.trial_id] = one if earlier is None else _which(earlier, one)
-    if gaps := [place for place, trial in enumerate(trials) if trial.id not in held]:
+    if gaps := [index for index, trial in enumerate(trials) if trial.id not in held]:
         raise _gap(sources, trials, gaps, count)
     return tuple(held[trial.id] for trial in trials)
 

@@ -439,15 +439,15 @@ def other_velocities(card: Card) -> Iterator[tuple[str, Card]]:
     known = {term.term for term in _terms(card)}
     for observation, own in _listed_terms(card):
         names = [term.term for term in own]
-        for place, term in enumerate(own):
+        for index, term in enumerate(own):
             if term.term not in _VELOCITIES or (other := _OTHER[term.term]) in known:
                 continue
             shared = term.model_dump(include={"scale", "offset", "clip"}, exclude_defaults=True)
             terms = list(own)
-            terms[place] = _VELOCITIES[other].model_validate({"term": other, **shared})
+            terms[index] = _VELOCITIES[other].model_validate({"term": other, **shared})
             which = ""
             if names.count(term.term) > 1:
-                which = "the second " if term.term in names[:place] else "the first "
+                which = "the second " if term.term in names[:index] else "the first "
             words = f"`{other}` instead of {which}`{term.term}` in `{observation}`"
             yield words, _with_terms(card, {observation: terms})
 
@@ -459,10 +459,10 @@ def moved_terms(card: Card) -> Iterator[tuple[str, Card]]:
         if names.count("command") != 1:
             continue
         term = others.pop(own := names.index("command"))
-        for place in range(len(names)):
-            if place != own:
-                terms = [*others[:place], term, *others[place:]]
-                where = f"behind `{others[place - 1].term}`" if place else "first"
+        for index in range(len(names)):
+            if index != own:
+                terms = [*others[:index], term, *others[index:]]
+                where = f"behind `{others[index - 1].term}`" if index else "first"
                 words = f"`command` {where} in `{observation}`"
                 yield words, _with_terms(card, {observation: terms})
 

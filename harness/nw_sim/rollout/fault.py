@@ -110,5 +110,5 @@ def one_line(error: BaseException) -> str:
     if isinstance(error, NwEvalError):
         return _ADDRESS.sub("0x...", message_of(error))
     frames = traceback.extract_tb(error.__traceback__)
-    place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
-    return _ADDRESS.sub("0x...", f"{type(error).__name__}: {message_of(error)}{place}")
+    location = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
+    return _ADDRESS.sub("0x...", f"{type(error).__name__}: {message_of(error)}{location}")

@@ -518,7 +518,7 @@ def _positions(
 ) -> PositionFit | None:
     if not options.positions:
         return None
-    places = {shot.name: place for place, shot in enumerate(capture.shots)}
+    places = {shot.name: index for index, shot in enumerate(capture.shots)}
     known = [name for name in options.positions if name in places]
     if not known:
         name = next(iter(options.positions))

@@ -179,7 +179,7 @@ class TrialRules:
     @property
     def critical(self) -> frozenset[int]:
         """Scenes that are judged alone too, by index."""
-        return frozenset(place for place, tier in enumerate(self.tiers) if tier == "critical")
+        return frozenset(index for index, tier in enumerate(self.tiers) if tier == "critical")
 
     @property
     def names_at(self) -> float:
@@ -353,19 +353,19 @@ class _Scenes:
         """
         self.waits = {scene for scene in range(len(self._met)) if self._is_waited_for(scene)}
         followed = list[int]()
-        for place in range(begin, len(scenes)):
-            scene = int(scenes[place])
+        for index in range(begin, len(scenes)):
+            scene = int(scenes[index])
             if self.flagged or not self.waits:
                 break
             if scene not in self.waits:
                 continue
-            if not ended[place]:
-                rest = np.isin(scenes[place:], list(self.waits))
-                return followed, (place + np.flatnonzero(rest)).tolist()
-            followed.append(place)
+            if not ended[index]:
+                rest = np.isin(scenes[index:], list(self.waits))
+                return followed, (index + np.flatnonzero(rest)).tolist()
+            followed.append(index)
             self._met[scene] += 1
-            self._own[scene] = own[place]
-            if own[place] >= self._names_at:
+            self._own[scene] = own[index]
+            if own[index] >= self._names_at:
                 self.named.add(scene)
             if not self._is_waited_for(scene):
                 self.waits.discard(scene)
