@@ -93,24 +93,24 @@ class BaselineComparison:
                 f"{policy} is the policy of baseline {name}: {count} per scene re-run; if the "
                 "results match, the others come from the baseline"
             )
-        elif not self._is_seen(run):
-            run = self._looked_at(own, interrupts)
+        elif not self._has_results_here(run):
+            run = self._check_machine(own, interrupts)
         if not run.interrupted and (run.stop is None or run.stop.trials):
             self._setup = setup_of(run, self._against, self._plan.suite.gate)
         return run
 
-    def run_control(self, places: Sequence[int]) -> None:
+    def run_control(self, indexes: Sequence[int]) -> None:
         """Run more trials of the control, from starts that the candidate meets next.
 
         Args:
-            places: of the drawn order.
+            indexes: in the drawn order.
 
         Raises:
             TrialError: one produced no result.
         """
         assert self._control is not None, "it has begun"
         assert self._setup is not None, "it has begun"
-        self._control.run(places)
+        self._control.run(indexes)
         if not self._control.is_interrupted:
             self._against = replace(self._against, control=self._control.arm)
             self._setup = replace(self._setup, against=self._against)
@@ -129,7 +129,7 @@ class BaselineComparison:
             stop = run.stop
             control.run([x for x in every if stop is None or stop.wants(x)], exactly=True)
 
-    def _looked_at(self, own: Session, interrupts: Interrupts) -> RunInfo:
+    def _check_machine(self, own: Session, interrupts: Interrupts) -> RunInfo:
         """Return run.json with what trials of the baseline show of this machine type."""
         name, run = self._against.info.name, own.info
         self._how.told.message(
@@ -174,11 +174,11 @@ class BaselineComparison:
             ended: rows of trials that have ended, by index in the order.
         """
         now, control = self._standing(ended), self._control
-        if now.ahead and control is not None and self._is_controlled:
-            lacking = tuple(x for x in now.ahead if x not in control.places)
-            if lacking and lacking[0] in now.ahead[: worker_count(self._how.workers, CHUNK)]:
+        if now.pending and control is not None and self._is_controlled:
+            lacking = tuple(x for x in now.pending if x not in control.indexes)
+            if lacking and lacking[0] in now.pending[: worker_count(self._how.workers, CHUNK)]:
                 return replace(now, lacks=lacking[:CHUNK])
-        return replace(now, ahead=tuple(x for x in now.ahead if x not in ended))
+        return replace(now, pending=tuple(x for x in now.pending if x not in ended))
 
     @property
     def _is_controlled(self) -> bool:
@@ -191,27 +191,32 @@ class BaselineComparison:
         if self._how.all_rounds:
             met = setup.met(list(ended.values()))
             is_met = met.ended(every)
-            return RunStanding(first=len(every), ahead=tuple(x for x in every if not is_met[x]))
-        if self._plan.is_baseline and (known := self._of_recheck(ended, setup)) is not None:
+            return RunStanding(first=len(every), pending=tuple(x for x in every if not is_met[x]))
+        if (
+            self._plan.is_baseline
+            and (known := self._standing_of_recheck(ended, setup)) is not None
+        ):
             return known
         setup = setup.on(list(ended.values()))
         finding = setup.find(setup.met(list(ended.values())))
         bar = self._bar_by(ended, count)
         first = _ends_at(finding, bar)
         if first is None:
-            rest = {x for x in every if x not in ended} | set(finding.ahead)
-            return RunStanding(first=count, ahead=tuple(sorted(rest)))
+            rest = {x for x in every if x not in ended} | set(finding.pending)
+            return RunStanding(first=count, pending=tuple(sorted(rest)))
         missing = [x for x in range(first) if x not in ended]
         passes = finding.word != "REGRESSED" and (bar is None or bar[1] != "REGRESSED")
         has_followed = passes or (finding.followed and finding.followed[-1] >= first)
         return RunStanding(
             first=first,
             followed=tuple(x for x in finding.followed if x >= first) if has_followed else (),
-            ahead=tuple(sorted({*missing, *(finding.ahead if passes else ())})),
+            pending=tuple(sorted({*missing, *(finding.pending if passes else ())})),
             waits_for=_names(finding.waits_for) if passes else (),
         )
 
-    def _of_recheck(self, ended: Mapping[int, Row], setup: ComparisonSetup) -> RunStanding | None:
+    def _standing_of_recheck(
+        self, ended: Mapping[int, Row], setup: ComparisonSetup
+    ) -> RunStanding | None:
         """Return what comes next of the baseline's own policy: some starts of each scene.
 
         None where the baseline has not seen the machine type, and bits are others: its trials
@@ -220,7 +225,7 @@ class BaselineComparison:
         every = range(len(self._plan.trials))
         first = min(rechecks(self._plan.request) * len(setup.strata), len(every))
         if missing := tuple(x for x in range(first) if x not in ended):
-            return RunStanding(first=first, ahead=missing)
+            return RunStanding(first=first, pending=missing)
         rows = [ended[x] for x in range(first)]
         again = recheck(rows, setup.run, setup.results)
         if any(row.status == "error" for row in rows) or again.equal or again.differing:
@@ -244,7 +249,7 @@ class BaselineComparison:
                 self._bar = self._looked, word
         return self._bar
 
-    def _is_seen(self, run: RunInfo) -> bool:
+    def _has_results_here(self, run: RunInfo) -> bool:
         """Whether nothing of the baseline need be run on this machine."""
         if self._against.results.panel_of(machine_of(run)) is not None:
             return True
@@ -318,8 +323,8 @@ class ConcurrentControl:
             out=None if is_begun else nested.path,
             resume=nested.path if is_begun else None,
         )
-        self.places = set[int]()
-        """Of what has run."""
+        self.indexes = set[int]()
+        """Indexes of the trials that have run."""
         self._arm: ControlArm | None = None
 
     def __enter__(self) -> Self:
@@ -336,7 +341,7 @@ class ConcurrentControl:
 
     @property
     def order(self) -> list[int]:
-        """Places of all trials that there are to run, in order; of a part, those of its run."""
+        """Indexes of all trials that there are to run, in order; of a part, those of its run."""
         return sorted(trial.place for trial in self._plan.trials if trial.place is not None)
 
     @property
@@ -344,21 +349,21 @@ class ConcurrentControl:
         """What has run so far; None if nothing has."""
         return self._arm
 
-    def run(self, places: Collection[int], *, exactly: bool = False) -> None:
+    def run(self, indexes: Collection[int], *, exactly: bool = False) -> None:
         """Run the trials at some positions of the candidate's order, those that have not run yet.
 
         Args:
-            places: in the order.
+            indexes: in the order.
             exactly: whether only these are to be kept of all that have run.
 
         Raises:
             TrialError: a trial of the baseline's policy produced no result, or another one than the
                 cache has.
         """
-        self.places = set(places) if exactly else self.places | set(places)
-        self._session.run_these(self.places)
-        standing = RunStanding(first=0, followed=tuple(sorted(self.places)))
-        is_whole = len(self.places) == len(self._plan.trials) or self.is_interrupted
+        self.indexes = set(indexes) if exactly else self.indexes | set(indexes)
+        self._session.run_these(self.indexes)
+        standing = RunStanding(first=0, followed=tuple(sorted(self.indexes)))
+        is_whole = len(self.indexes) == len(self._plan.trials) or self.is_interrupted
         self._session.write_rows(None if is_whole else stop_of(self._plan, standing))
         own = self._session.info
         if own.cache is not None and own.cache.differing:

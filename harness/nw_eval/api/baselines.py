@@ -113,7 +113,7 @@ _REPORTS = Path("reports")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Here:
+class BaselineTarget:
     """A suite and a policy on this machine, with this nw-eval."""
 
     plan: Plan
@@ -143,7 +143,7 @@ class Here:
             and baseline.panel_of(self.machine) is not None
         )
 
-    def held_out(self) -> Here:
+    def held_out(self) -> BaselineTarget:
         """Return the same with starts of a seed set of its own, by its policy and the suite."""
         from nw_eval.engine.identity import policy_info
         from nw_eval.engine.provenance import run_info
@@ -160,7 +160,7 @@ class Here:
         run = run_info(plan, RunFolder(path=Path(suite.name)), How())
         return replace(self, plan=plan, key=key_of(run))
 
-    def with_starts(self, starts: int) -> Here:
+    def with_starts(self, starts: int) -> BaselineTarget:
         """Return the same with another number of starts.
 
         Raises:
@@ -174,7 +174,7 @@ class Here:
         return replace(self, plan=replace(self.plan, suite=suite, trials=trials))
 
 
-def here(suite: str | Path, *, policy: str | None, **changes: Any) -> Here:
+def baseline_target(suite: str | Path, *, policy: str | None, **changes: Any) -> BaselineTarget:
     """Return what a baseline of a suite would be.
 
     Args:
@@ -197,7 +197,7 @@ def here(suite: str | Path, *, policy: str | None, **changes: Any) -> Here:
     alone = read.model_copy(update={"gate": gate})
     plan = plan_of(alone, policy=policy, record="none", **changes)
     run = run_info(plan, RunFolder(path=Path(read.name)), How())
-    return Here(
+    return BaselineTarget(
         plan=plan,
         key=key_of(run),
         policy=BaselinePolicy(
@@ -287,20 +287,26 @@ def check_baseline(
     saved, wanted = shown.baseline, str(suite or shown.baseline.manifest.suite)
     own, unchecked = saved.manifest.policy, None
     try:
-        place: Here = here(wanted, policy=policy or own.card or own.name, **changes)
-        place = place.held_out() if saved.manifest.held_out else place
-        moved = policy_changes(own, place.policy)
+        target: BaselineTarget = baseline_target(
+            wanted, policy=policy or own.card or own.name, **changes
+        )
+        target = target.held_out() if saved.manifest.held_out else target
+        moved = policy_changes(own, target.policy)
     except PolicyError as error:
         if policy is not None:
             raise
-        place, moved, unchecked = here(wanted, policy=None, **changes), (), error.message
-    has_panel = saved.panel_of(place.machine) is not None
+        target, moved, unchecked = (
+            baseline_target(wanted, policy=None, **changes),
+            (),
+            error.message,
+        )
+    has_panel = saved.panel_of(target.machine) is not None
     return CheckedBaseline(
         file=shown.file,
         baseline=saved,
-        changes=(*key_changes(saved.manifest.key, place.key), *moved),
+        changes=(*key_changes(saved.manifest.key, target.key), *moved),
         has_panel=has_panel,
-        machine=() if has_panel else machine_changes(saved.panels[0].machine, place.machine),
+        machine=() if has_panel else machine_changes(saved.panels[0].machine, target.machine),
         unchecked=unchecked,
         suite=wanted,
         policy=policy or own.typed,

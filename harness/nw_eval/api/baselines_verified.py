@@ -15,7 +15,7 @@ from nw_eval.engine.how import How
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from nw_eval.api.baselines import Here
+    from nw_eval.api.baselines import BaselineTarget
     from nw_gate.results.baseline import BaselineResults
     from nw_gate.results.row import Row
 
@@ -83,7 +83,7 @@ def verify_baseline(
         StoreError: the baseline is damaged.
         IncomparableError: it does not hold here, or its policy is another one.
     """
-    from nw_eval.api.baselines import here, show_baseline
+    from nw_eval.api.baselines import baseline_target, show_baseline
     from nw_eval.engine.order import check_sample, draw, unforeseen_seed
     from nw_eval.suite import load_suite
 
@@ -95,13 +95,13 @@ def verify_baseline(
     if policy is None and _is_here(own.card or own.name):
         policy = own.card or own.name
     # Else the suite's own policy is taken: whether it is the baseline's, its digests tell.
-    place = here(suite or saved.manifest.suite, policy=policy, **changes)
-    place = place.held_out() if saved.manifest.held_out else place
-    place = place.with_starts(saved.manifest.starts)
-    _check(saved, place)
+    target = baseline_target(suite or saved.manifest.suite, policy=policy, **changes)
+    target = target.held_out() if saved.manifest.held_out else target
+    target = target.with_starts(saved.manifest.starts)
+    _check(saved, target)
     seed = unforeseen_seed() if seed is None else seed
-    names = draw([trial.id for trial in place.plan.trials], sample, seed)
-    rows, interrupted = _run(place, names, how)
+    names = draw([trial.id for trial in target.plan.trials], sample, seed)
+    rows, interrupted = _run(target, names, how)
     done = [row for row in rows if row.status == "ok"]
     return VerifiedBaseline(
         file=shown.file,
@@ -109,8 +109,8 @@ def verify_baseline(
         seed=seed,
         drawn=len(names),
         ran=len(done),
-        has_panel=saved.panel_of(place.machine) is not None,
-        differing=_differing(done, saved, place.machine),
+        has_panel=saved.panel_of(target.machine) is not None,
+        differing=_differing(done, saved, target.machine),
         faults=tuple(
             f"{row.trial_id}: {row.error_type}: {row.error_text}"
             for row in rows
@@ -120,7 +120,7 @@ def verify_baseline(
     )
 
 
-def _check(baseline: BaselineResults, place: Here) -> None:
+def _check(baseline: BaselineResults, target: BaselineTarget) -> None:
     """Refuse a baseline of something else.
 
     Raises:
@@ -129,8 +129,8 @@ def _check(baseline: BaselineResults, place: Here) -> None:
     from nw_gate.results.baseline import key_changes, policy_changes
 
     changes = (
-        *key_changes(baseline.manifest.key, place.key),
-        *policy_changes(baseline.manifest.policy, place.policy),
+        *key_changes(baseline.manifest.key, target.key),
+        *policy_changes(baseline.manifest.policy, target.policy),
     )
     if changes:
         named = ", ".join(f"{each.part} {each.name} {each.then} -> {each.now}" for each in changes)
@@ -140,20 +140,20 @@ def _check(baseline: BaselineResults, place: Here) -> None:
         )
 
 
-def _run(place: Here, names: Sequence[str], how: How) -> tuple[tuple[Row, ...], bool]:
+def _run(target: BaselineTarget, names: Sequence[str], how: How) -> tuple[tuple[Row, ...], bool]:
     """Run some trials of a baseline in a folder of their own; return rows, and if it was cut."""
     from nw_eval.engine import session
     from nw_gate.results.journal import read_journal
     from nw_gate.results.provenance import read_run_info
 
     chosen = set(names)
-    trials = tuple(trial for trial in place.plan.trials if trial.id in chosen)
+    trials = tuple(trial for trial in target.plan.trials if trial.id in chosen)
     scenes = {trial.scene for trial in trials}
-    found = tuple(each for each in place.plan.found if each.scene.name in scenes)
-    how.told.message(f"{plural(len(trials), 'trial')} of {len(place.plan.trials)} re-run")
+    found = tuple(each for each in target.plan.found if each.scene.name in scenes)
+    how.told.message(f"{plural(len(trials), 'trial')} of {len(target.plan.trials)} re-run")
     with TemporaryDirectory(prefix="nw-eval-baseline-") as temporary:
         folder = session.carry_out(
-            replace(place.plan, trials=trials, found=found, arm="baseline"),
+            replace(target.plan, trials=trials, found=found, arm="baseline"),
             replace(how, cache=False),  # It may hold the very results that are to be verified.
             out=Path(temporary) / "run",
         )

@@ -188,7 +188,7 @@ def _planned(base: Plan, info: RunInfo, suite: Suite, card: str, bundle: Bundle)
         "seed": None,  # The suite has it, also where the run's starts were its policy's own.
         "panel": None,
         "trials": None,
-        "scenes": tuple(escape(place.scene.name) for place in base.found),
+        "scenes": tuple(escape(found_scene.scene.name) for found_scene in base.found),
     }
     planned = plan(suite, **changes)
     if info.drawn_from is None:

@@ -115,8 +115,8 @@ def plan_of(
         if suite is not None and against is None:
             read = beside.submit(wanted_baseline, request, suite, own_policy=own_policy)
         found = open_scenes(draft, faults, request.collision)
-        for place in found:
-            _ = place.scene.digest  # Kept; what looks at the policy is still starting.
+        for found_scene in found:
+            _ = found_scene.scene.digest  # Kept; what looks at the policy is still starting.
         if bundle is None:
             bundle = open_policy(draft, faults, request, robot=robot, card=card, may_fail=may_fail)
         else:
@@ -127,7 +127,7 @@ def plan_of(
     assert suite is not None, "a suite that cannot be used has faults"
     assert bundle is not None, "a policy that cannot be used has faults"
     chosen = chosen_scenes(found, request.scenes if scenes is None else scenes, suite)
-    opened = [place.scene for place in chosen]
+    opened = [found_scene.scene for found_scene in chosen]
     check_splats(bundle.card, opened)
     if read is not None:
         against = read.result()
@@ -147,7 +147,10 @@ def plan_of(
         bundle=bundle,
         found=chosen,
         left_out=tuple(
-            sorted({place.scene.name for place in found} - {place.scene.name for place in chosen})
+            sorted(
+                {found_scene.scene.name for found_scene in found}
+                - {found_scene.scene.name for found_scene in chosen}
+            )
         ),
         trials=trials,
         own_policy=own_policy,
@@ -432,7 +435,7 @@ def chosen_scenes(
         wanted = ", ".join(globs)
         raise UsageError(
             f"--scenes {wanted} matches no scene of suite {suite.name!r}",
-            fix=nearest(wanted.replace("*", ""), [place.scene.name for place in found]),
+            fix=nearest(wanted.replace("*", ""), [found_scene.scene.name for found_scene in found]),
         )
     return chosen
 
@@ -493,9 +496,9 @@ def open_scenes(
         try:
             for each in catalogue.references([pattern], draft.base, collision=collision):
                 if each not in found:
-                    place = found[each] = catalogue.FoundScene.at(*each)
-                    if free := start_finding(place.scene):
-                        faults.at(("scenes", index), _refused(place.scene.name, free))
+                    found_scene = found[each] = catalogue.FoundScene.at(*each)
+                    if free := start_finding(found_scene.scene):
+                        faults.at(("scenes", index), _refused(found_scene.scene.name, free))
         except SceneError as error:
             faults.at(("scenes", index), error)
             failed.append(pattern)
@@ -504,7 +507,7 @@ def open_scenes(
             faults.at(("scenes", index), SceneError(message, fix="name a scene or its folder"))
             failed.append(pattern)
     # A tier of a scene that exists, and is not run for another fault's sake, is no fault.
-    meant = [place.scene.name for place in found.values()]
+    meant = [found_scene.scene.name for found_scene in found.values()]
     faults.extend(tier_problems(draft, meant + list(catalogue.names() if failed else ()), failed))
     return tuple(found.values())
 

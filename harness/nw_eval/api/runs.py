@@ -104,8 +104,8 @@ def roll_out(
         whole = how.all_rounds or plan.shard is not None
         plan = rechecked(plan, unforeseen_seed(), all_rounds=whole)
     comparison = None
-    for words in _ahead(plan):
-        how.told.message(words)
+    for text in _preflight_messages(plan):
+        how.told.message(text)
     if plan.against is not None:
         comparison = BaselineComparison(plan, plan.against, how)
     elif (plan.shard is None or plan.shard.count == 1) and plan.request.baseline != "none":
@@ -118,7 +118,7 @@ def roll_out(
     )
 
 
-def _ahead(plan: Plan) -> Iterator[str]:
+def _preflight_messages(plan: Plan) -> Iterator[str]:
     """Yield what is said before a run begins."""
     from nw_eval.engine.plan import obstacles_of
     from nw_scenes.robots import find_robot
@@ -145,10 +145,10 @@ def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
     from nw_sim.catalogue import is_built_in
     from nw_sim.survey.course import course_findings
 
-    for place in plan.found:
-        if not is_built_in(place.reference):
-            for finding in course_findings(place.scene, plan.suite.robot):
-                yield place.scene.name, finding
+    for found_scene in plan.found:
+        if not is_built_in(found_scene.reference):
+            for finding in course_findings(found_scene.scene, plan.suite.robot):
+                yield found_scene.scene.name, finding
 
 
 def _beyond_legs(plan: Plan) -> Iterator[str]:
@@ -165,7 +165,7 @@ def _beyond_legs(plan: Plan) -> Iterator[str]:
     if not places:
         return
     legs = legs_of(get_robot(plan.suite.robot))
-    fits = {place.scene.name: fit_of(place.scene, legs) for place in places}
+    fits = {found_scene.scene.name: fit_of(found_scene.scene, legs) for found_scene in places}
     asked = [f"{name} ({', '.join(fit.beyond)})" for name, fit in fits.items() if fit.beyond]
     if asked:
         some = ", ".join(asked[:3]) + (f" and {len(asked) - 3} more" if len(asked) > 3 else "")

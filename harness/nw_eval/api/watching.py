@@ -554,8 +554,10 @@ def _obstacles(request: Request) -> tuple[str, ...]:
     try:
         suite = override(draft.suite, request)
         found = open_scenes(draft, Faults(draft), request.collision)
-        names = [place.scene.name for place in chosen_scenes(found, request.scenes, suite)]
-        left_out = {place.scene.name for place in found} - {*names}
+        names = [
+            found_scene.scene.name for found_scene in chosen_scenes(found, request.scenes, suite)
+        ]
+        left_out = {found_scene.scene.name for found_scene in found} - {*names}
         return obstacles_among_equals(suite, names, left_out)
     except NwEvalError:
         return ()

@@ -238,13 +238,13 @@ class NodeAgent:
 
 def _at_home(job: TrialJob, places: Mapping[str, str]) -> TrialJob:
     """Return a job whose references are paths of this node."""
-    checkpoint = None if job.checkpoint is None else here(job.checkpoint, places)
+    checkpoint = None if job.checkpoint is None else local_path(job.checkpoint, places)
     return replace(
         job,
         scene=places.get(job.scene, job.scene),
         policy=places.get(job.policy, job.policy),
         checkpoint=checkpoint,
-        robot_folder=None if job.robot_folder is None else here(job.robot_folder, places),
+        robot_folder=None if job.robot_folder is None else local_path(job.robot_folder, places),
     )
 
 
@@ -282,11 +282,11 @@ class LibraryHere(Library):
 
     def bundle(self, reference: str, checkpoint: Path | None) -> Bundle:
         """Return the bundle of a reference; errors are those of `Library.bundle`."""
-        weights = None if checkpoint is None else here(checkpoint, self._places)
+        weights = None if checkpoint is None else local_path(checkpoint, self._places)
         return super().bundle(self._places.get(reference, reference), weights)
 
 
-def here(path: Path, places: Mapping[str, str]) -> Path:
+def local_path(path: Path, places: Mapping[str, str]) -> Path:
     """Return where on this machine lies what the head calls by a path."""
     return Path(places.get(str(path), path))
 

@@ -71,11 +71,11 @@ class BaselineComparison(Protocol):
         ...
 
     def next(self, ended: Mapping[int, Row]) -> RunStanding:
-        """Return how it stands, from the rows that have ended by place in the drawn order."""
+        """Return how it stands, from the rows that have ended by index in the drawn order."""
         ...
 
-    def run_control(self, places: Sequence[int]) -> None:
-        """Run trials of the baseline's own policy at places of the drawn order."""
+    def run_control(self, indexes: Sequence[int]) -> None:
+        """Run trials of the baseline's own policy at indexes of the drawn order."""
         ...
 
     def end(self, run: RunInfo) -> None:

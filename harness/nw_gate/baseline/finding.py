@@ -205,8 +205,8 @@ class Finding:
     """All positions below it bear on the mean: up to the trial that settled it, or those so far."""
     followed: tuple[int, ...] = ()
     """Later positions that were judged for their scenes alone."""
-    ahead: tuple[int, ...] = ()
-    """Places that come next, as `TrialDecision.ahead`; those of strata that count."""
+    pending: tuple[int, ...] = ()
+    """Positions that come next, as `TrialDecision.pending`; those of strata that count."""
     used: tuple[int, ...] = ()
     """Places of trials of strata that count which were judged, in order."""
     evidence: Mapping[Stratum, float] = field(default_factory=dict)
@@ -392,7 +392,7 @@ def find(
         word="INCONCLUSIVE" if decision.word == "undecided" else decision.word,
         first=int(places[decision.mean - 1]) + 1 if decision.mean else 0,
         followed=tuple(places[list(decision.followed)].tolist()) if decision.followed else (),
-        ahead=tuple(places[list(decision.ahead)].tolist()) if decision.ahead else (),
+        pending=tuple(places[list(decision.pending)].tolist()) if decision.pending else (),
         used=tuple(places[used].tolist()) if used else (),
         evidence=evidence,
         named=tuple(judged[index] for index in decision.named),

@@ -556,7 +556,7 @@ def _waiting(found: Comparison, finding: Finding) -> Iterable[str]:
             f"PASS is withheld: the mean passes, but critical {_scenes_named(critical)} "
             f"{CRITICAL_TRIALS} trials"
         )
-    if waited and not finding.ahead:
+    if waited and not finding.pending:
         yield "this run has no trial of it left" if len(waited) == 1 else _NONE_LEFT
 
 

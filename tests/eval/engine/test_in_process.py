@@ -336,7 +336,7 @@ def enough_after(first, *, followed=(), ended=0):
         if not lacking and len(rows) >= ended:
             return RunStanding(first=first, followed=followed)
         nexts = lacking if followed else range(5)
-        return RunStanding(first=0, ahead=tuple(place for place in nexts if place not in rows))
+        return RunStanding(first=0, pending=tuple(place for place in nexts if place not in rows))
 
     return enough
 

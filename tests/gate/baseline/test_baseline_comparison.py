@@ -87,8 +87,8 @@ class Course:
         """Return what one worker ends with, that runs what comes next."""
         comparison = self.comparison()
         ended: dict[int, Row] = {}
-        while (now := comparison.next(ended)).ahead:
-            ended[now.ahead[0]] = self.rows[now.ahead[0]]
+        while (now := comparison.next(ended)).pending:
+            ended[now.pending[0]] = self.rows[now.pending[0]]
         assert set(ended) == {*range(now.first), *now.followed}, "and nothing more"
         return now
 
@@ -292,8 +292,8 @@ def test_where_all_rounds_are_wanted_every_trial_comes_next(course):
     met = course("max_drop: 0.3", PERFECT)
     comparison = met.comparison(all_rounds=True)
     ended = dict(enumerate(met.rows[:50]))
-    assert comparison.next(ended).ahead == tuple(range(50, 60))
-    assert comparison.next(dict(enumerate(met.rows))).ahead == ()
+    assert comparison.next(ended).pending == tuple(range(50, 60))
+    assert comparison.next(dict(enumerate(met.rows))).pending == ()
 
 
 def test_an_informational_scene_that_has_not_ended_is_run_and_holds_no_ruling_back(course):
@@ -305,7 +305,7 @@ def test_an_informational_scene_that_has_not_ended_is_run_and_holds_no_ruling_ba
     lacking = {x: row for x, row in enumerate(met.rows[: now.first]) if row.scene != SCENES[0]}
     later = met.comparison().next(lacking)
     assert later.first == now.first
-    assert later.ahead == tuple(x for x in range(now.first) if x not in lacking)
+    assert later.pending == tuple(x for x in range(now.first) if x not in lacking)
     rows, run = met.stopped(now)
     verdict = judge_run(rows, run, met.gate, met.against)
     assert (verdict.verdict, verdict.success) == ("PASS", None if not verdict.n else 1.0)
@@ -330,9 +330,9 @@ def test_workers_that_run_ahead_end_with_the_same_trials_and_verdict(course, see
     ended = {}
     while True:
         now = comparison.next(ended)
-        if not now.ahead:
+        if not now.pending:
             break
-        going += [place for place in now.ahead[:workers] if place not in going]
+        going += [place for place in now.pending[:workers] if place not in going]
         place = going.pop(int(rng.integers(len(going))))
         ended[place] = met.rows[place]
     assert now == alone

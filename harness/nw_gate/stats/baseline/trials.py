@@ -19,7 +19,7 @@ at most `tolerate` is flagged by the mean with at most alpha_regr. If no scene d
 than scene_drop, any is named with at most alpha_regr besides: the S scenes share that error.
 
 **The same trials whatever the number of workers.** Which trials are judged follows from the order
-and from the results of those before. Workers may run ahead in the order (`TrialDecision.ahead`);
+and from the results of those before. Workers may run ahead in the order (`TrialDecision.pending`);
 what they find beyond the trial that settles it is not judged. So no batch has to be waited for, and
 the number of trials that are judged is the least that there can be.
 
@@ -200,7 +200,7 @@ class TrialDecision:
     """Scenes that regressed, whatever the word, by index."""
     waits_for: tuple[int, ...]
     """Scenes that alone hold back a PASS that the mean allows."""
-    ahead: tuple[int, ...]
+    pending: tuple[int, ...]
     """Trials that come next if none of them settles it, by index in the order, those that have
     ended already among them; none once it is settled or the budget is spent. W workers run those of
     the first W that have not ended: further ahead more would be run for nothing."""
@@ -291,21 +291,21 @@ def _rule(
     mean = min(count, flags + 1, passes + 1)
     found = _Scenes(scenes[:mean], every.own[:mean], rules)
     word: _Word = "undecided"
-    followed, ahead = list[int](), list[int]()
+    followed, pending = list[int](), list[int]()
     if flags < mean:
         word = "REGRESSED"
     elif passes < mean:
-        followed, ahead = found.follow(scenes, every.own, ended, mean)
+        followed, pending = found.follow(scenes, every.own, ended, mean)
         word = "REGRESSED" if found.flagged else "undecided" if found.waits else "PASS"
     else:
-        ahead = list(range(count, len(scenes)))
+        pending = list(range(count, len(scenes)))
     return TrialDecision(
         word=word,
         mean=mean,
         followed=tuple(followed),
         named=tuple(sorted(found.named)),
         waits_for=tuple(sorted(found.waits)) if word == "undecided" else (),
-        ahead=tuple(ahead),
+        pending=tuple(pending),
     )
 
 

@@ -71,7 +71,7 @@ def test_before_the_first_trial_nothing_is_decided():
     rules, known = TrialRules(tiers=tiers(1)), [False] * 3
     decision = settle(PERFECT, one_scene([1.0] * 3), rules, known)
     assert (decision.word, decision.trials, decision.named) == ("undecided", 0, ())
-    assert decision.ahead == (0, 1, 2)
+    assert decision.pending == (0, 1, 2)
 
 
 def test_evidence_must_reach_one_over_alpha():
@@ -88,7 +88,7 @@ def test_evidence_must_reach_one_over_alpha():
 def test_the_first_trial_that_settles_it_does_whatever_comes_after():
     rules = TrialRules(tiers=tiers(1))
     passed = settle(PERFECT, one_scene([1.0] * 37 + [0.0] * 40), rules)
-    assert (passed.word, passed.trials, passed.named, passed.ahead) == ("PASS", 37, (), ())
+    assert (passed.word, passed.trials, passed.named, passed.pending) == ("PASS", 37, (), ())
     fell = settle(PERFECT, one_scene([0.0] * 2 + [1.0] * 400), rules)
     assert (fell.word, fell.trials) == ("REGRESSED", 2)
 
@@ -130,7 +130,7 @@ def test_gates_that_are_settled_together_end_as_each_alone():
     alone = [settle(reference, cut(trials, gate), rules) for gate in range(40)]
     together = settle_all(reference, trials, rules)
     for one, other in zip(alone, together, strict=True):
-        assert replace(one, ahead=()) == replace(other, ahead=())
+        assert replace(one, pending=()) == replace(other, pending=())
     assert len({decision.word for decision in alone}) > 1
     assert any(decision.followed for decision in alone)
 
@@ -147,16 +147,18 @@ def test_the_same_trials_are_judged_whatever_the_number_of_workers(workers):
         while True:
             hidden = replace(trials, candidate=np.where(known, trials.candidate, 0.0))
             decision = settle(reference, hidden, rules, known)
-            if not decision.ahead:
+            if not decision.pending:
                 break
-            window = decision.ahead[:workers]
+            window = decision.pending[:workers]
             running.update(place for place in window if not known[place])
             assert len(running) <= 2 * workers
             # Whichever ends first: workers differ in speed.
             done = int(rng.choice(sorted(running)))
             running.discard(done)
             known[done] = True
-        assert replace(decision, ahead=()) == replace(settle(reference, trials, rules), ahead=())
+        assert replace(decision, pending=()) == replace(
+            settle(reference, trials, rules), pending=()
+        )
         judged = {*range(decision.mean), *decision.followed}
         started = set(np.flatnonzero(known).tolist()) | running
         assert judged <= started
@@ -170,7 +172,7 @@ def test_of_a_trial_that_has_not_ended_nothing_is_looked_at():
     trials, rules = cut(every, 0), TrialRules(tiers=tiers())
     known = np.arange(160) != 20
     decision = settle(reference, trials, rules, known)
-    assert (decision.word, decision.mean, decision.ahead[:2]) == ("undecided", 20, (20, 21))
+    assert (decision.word, decision.mean, decision.pending[:2]) == ("undecided", 20, (20, 21))
     assert (
         settle(
             reference,
@@ -216,7 +218,7 @@ def test_a_scene_that_is_suspect_to_the_end_holds_a_pass_back():
     mean = settle(reference, whole, rules).mean
     short = DrawnTrials(scenes=scenes[:mean], candidate=candidate[:mean], baseline=ones[:mean])
     decision = settle(reference, short, rules)
-    assert (decision.word, decision.waits_for, decision.ahead) == ("undecided", (3,), ())
+    assert (decision.word, decision.waits_for, decision.pending) == ("undecided", (3,), ())
 
 
 def test_no_gate_passes_before_critical_scenes_have_been_met():
@@ -382,7 +384,7 @@ def test_what_cannot_be_judged_is_refused_by_name(make, says):
 
 def test_a_ruling_counts_the_trials_of_both_its_parts():
     decision = TrialDecision(
-        word="PASS", mean=37, followed=(40, 90), named=(), waits_for=(), ahead=()
+        word="PASS", mean=37, followed=(40, 90), named=(), waits_for=(), pending=()
     )
     assert decision.trials == 39
 
