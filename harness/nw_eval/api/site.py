@@ -325,8 +325,8 @@ def _rendered(
 
     hrefs: dict[Path, str] = {}
     for number, run in enumerate(judged, 1):
-        words = f"{_suite_of(run)}-{run.info.policy.name}"
-        slug = f"{number:03d}-{re.sub(r'[^A-Za-z0-9_-]+', '-', words)[:60]}"
+        text = f"{_suite_of(run)}-{run.info.policy.name}"
+        slug = f"{number:03d}-{re.sub(r'[^A-Za-z0-9_-]+', '-', text)[:60]}"
         href = f"{REPORTS}/{slug}/report.html"
         try:
             write_anew(run, site / href, logs=True, draws=draws)

@@ -101,8 +101,8 @@ def parting_words(one: AxisCurve, other: AxisCurve) -> str:
         return f"{both}: {too_few(needed)} for all of one and none of the other"
     if not parted:
         return f"{one.policy} and {other.policy}: at no value do they part beyond chance"
-    words = ", ".join(f"{a.value:g} ({a.share:.2f} and {b.share:.2f})" for a, b in parted)
-    return f"{one.policy} and {other.policy}: different shares complete at {one.axis} {words}"
+    text = ", ".join(f"{a.value:g} ({a.share:.2f} and {b.share:.2f})" for a, b in parted)
+    return f"{one.policy} and {other.policy}: different shares complete at {one.axis} {text}"
 
 
 def sweep_table(curves: Sequence[AxisCurve]) -> Table:

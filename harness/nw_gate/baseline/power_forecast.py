@@ -201,16 +201,14 @@ def about_more_trials(progress: Progress) -> str:
         return NOTHING_MORE
     half, most = trials_for(settled, 0.5), trials_for(settled, 0.9)
     first = left if half is None else half
-    words = (
-        f"{_SO_FAR}, about {plural(first, 'more trial')} {'decides' if first == 1 else 'decide'}"
-    )
+    text = f"{_SO_FAR}, about {plural(first, 'more trial')} {'decides' if first == 1 else 'decide'}"
     if half is None:
-        return f"{words} with {percent(settled[-1])} probability"
+        return f"{text} with {percent(settled[-1])} probability"
     if half == most:
-        return f"{words} with 90 % probability"
+        return f"{text} with 90 % probability"
     if most is None:
-        return f"{words} with 50 % probability, {left} with {percent(settled[-1])}"
-    return f"{words} with 50 % probability, {most} with 90 %"
+        return f"{text} with 50 % probability, {left} with {percent(settled[-1])}"
+    return f"{text} with 50 % probability, {most} with 90 %"
 
 
 def _outset(

@@ -26,16 +26,16 @@ class Shard:
     """How many there are."""
 
     @classmethod
-    def of(cls, words: str) -> Shard:
+    def of(cls, text: str) -> Shard:
         """Return the shard that `1/3` names.
 
         Raises:
             UsageError: the words name none.
         """
-        found = _SHARD.fullmatch(words)
+        found = _SHARD.fullmatch(text)
         if found is None or not 1 <= int(found[1]) <= int(found[2]):
             raise UsageError(
-                f"--shard {words!r} is not a part", fix="give I/N, such as 1/3, with I from 1 to N"
+                f"--shard {text!r} is not a part", fix="give I/N, such as 1/3, with I from 1 to N"
             )
         return cls(index=int(found[1]), count=int(found[2]))
 
