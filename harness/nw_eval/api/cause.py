@@ -156,7 +156,8 @@ def _rounds(info: RunInfo, suite: Suite, trials: int | None) -> int:
         )
     if info.drawn_from is not None and rounds > info.drawn_from:
         raise UsageError(
-            f"--trials {rounds}: the run drew its starts from the {info.drawn_from} of a baseline",
+            f"--trials {rounds}: the run drew its initial states from the "
+            f"{info.drawn_from} of a baseline",
             fix=f"give at most {info.drawn_from}",
         )
     return rounds

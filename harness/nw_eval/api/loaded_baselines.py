@@ -189,9 +189,9 @@ def check_rounds(against: LoadedBaseline, rounds: int, suite: Suite, request: Re
         policy = request.baseline_policy or against.results.manifest.policy.typed
         words = (str(request.suite or suite.name), policy, "--trials", str(rounds))
         raise IncomparableError(
-            f"baseline {name} has {plural(starts, 'start')} in each scene, and {rounds} trials of "
-            "each draw more",
-            fix=f"--trials {starts}, or more starts: `{saving(against.results, *words)}`",
+            f"baseline {name} has {plural(starts, 'initial state')} in each scene, and {rounds} "
+            "trials of each draw more",
+            fix=f"--trials {starts}, or more initial states: `{saving(against.results, *words)}`",
         )
 
 

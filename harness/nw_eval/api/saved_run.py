@@ -133,7 +133,7 @@ def whole_plan(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
         strata = [(scene.name, cell) for scene in scenes for cell in suite.perturb.cells]
         starts = suite.trials if info.drawn_from is None else info.drawn_from
         if not suite.trials <= starts <= MAX_TRIALS // max(1, len(strata)):
-            raise _damaged(info, f"{suite.trials} trials of each scene of {starts} starts")
+            raise _damaged(info, f"{suite.trials} trials of each scene of {starts} initial states")
         order = drawn_order(info, strata, suite.trials)
     try:
         return expand(suite, scenes, order)

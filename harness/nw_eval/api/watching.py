@@ -460,7 +460,7 @@ class _Watch:
         if not any(root.rglob(f"{key}.parquet")):
             self.how.told.message(
                 f"step {best.step} is the best so far, and is compared with from now on: its "
-                f"baseline is of {starts} starts a scene that took no part in choosing it"
+                f"baseline has {starts} initial states per scene that took no part in choosing it"
             )
         return save_baseline(
             self.request.suite,

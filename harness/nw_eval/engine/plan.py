@@ -387,7 +387,8 @@ def _against_the_baseline(plan: Plan, against: LoadedBaseline) -> list[str]:
         return []
     most = len(order) // scenes
     if needed is None:
-        fix = f"the baseline has no more than {plural(manifest.starts, 'start')} in each scene"
+        states = plural(manifest.starts, "initial state")
+        fix = f"the baseline has no more than {states} in each scene"
         if fresh:
             fix = f"{most} in each scene cannot either"
     else:

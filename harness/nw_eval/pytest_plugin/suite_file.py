@@ -282,7 +282,7 @@ def save_baseline(suite: SuiteFile) -> None:
     manifest = saved.baseline.manifest
     pytest.fail(
         f"{saved.file} is {saved.action}: {manifest.policy.name}, "
-        f"{plural(manifest.starts, 'start')} in each scene\n"
+        f"{plural(manifest.starts, 'initial state')} in each scene\n"
         "Check what has changed, commit it, and run again without --nw-update-baseline.",
         pytrace=False,
     )

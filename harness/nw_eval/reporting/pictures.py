@@ -138,7 +138,7 @@ def draw_comparison(found: PolicyComparison, path: Path) -> None:
 
 def _title(found: PolicyComparison) -> str:
     suite, first = (clean(name, at_most=_NAME) for name in (found.suite, found.policies[0].label))
-    title = f"{suite}: mean success of {plural(found.starts, 'start')}, "
+    title = f"{suite}: mean success of {plural(found.starts, 'initial state')}, "
     title += f"{100 * found.confidence:.4g} % each alone"
     if any(each.shown and each.scene for each in found.partings):
         title += f"\nw2: parts from {first} at waypoint 2 of the scene"

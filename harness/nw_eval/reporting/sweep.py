@@ -139,7 +139,7 @@ def sweep_table(curves: Sequence[AxisCurve]) -> Table:
         "Bayesian bootstrap. A cliff is the first value, outwards from the one nearest to neutral, "
         "at which fewer trials complete than there by Fisher's exact test with scenes as strata, "
         "Bonferroni over the values; where not even a fall to none would show, there are too few "
-        "trials to tell. Two policies meet the same starts; two values do not.",
+        "trials to tell. Two policies meet the same initial states; two values do not.",
     )
 
 

@@ -90,7 +90,7 @@ def _suite_faults(run: RunInfo, baseline: BaselineResults) -> Iterable[str]:
     if ours.protocol != theirs.protocol:
         yield f"its protocol is {ours.protocol}, the baseline's {theirs.protocol}"
     if ours.seed == theirs.seed and run.panel == "fresh":
-        yield f"its seed {ours.seed} is the baseline's, so its starts are not fresh"
+        yield f"its seed {ours.seed} is the baseline's, so its initial states are not fresh"
     if ours.suite_digest == theirs.suite_digest:
         return
     # Whatever differs besides seed and protocol is in the digest alone.
@@ -213,8 +213,8 @@ def claim_of(
     needs = max(rounds if is_drawn else 0, run.drawn_from or 0)
     if basis != "same" and has < needs:
         raise IncomparableError(
-            f"baseline {baseline.manifest.name} has {has} starts in each scene; the run needs "
-            f"{needs}",
+            f"baseline {baseline.manifest.name} has {has} initial states in each scene; the run "
+            f"needs {needs}",
             fix=f"save them with `{renewing(run, baseline, '--trials', str(needs))}`, or run fewer "
             "--trials",
         )
@@ -240,8 +240,9 @@ def check_starts(baseline: BaselineResults, gate: Gate, run: RunInfo) -> None:
     has, least = baseline.manifest.starts, gate.least_starts
     if has < least:
         raise IncomparableError(
-            f"baseline {baseline.manifest.name} has {plural(has, 'start')} in each scene; a claim "
-            f"about new starts needs {least}, or its errors are larger than they say",
+            f"baseline {baseline.manifest.name} has {plural(has, 'initial state')} in each "
+            f"scene; a claim about new initial states needs {least}, or "
+            "its errors are larger than they say",
             fix=f"save them with `{renewing(run, baseline, '--trials', str(least))}`",
         )
 
@@ -582,8 +583,8 @@ def _start_of(row: Row, panel: Panel) -> Start:
     starts = panel.by_stratum.get((row.scene, row.perturbation), ())
     if not 0 <= row.seed_index < len(starts):
         raise StoreError(
-            f"trial {row.trial_id} is of no start of the baseline, which has {len(starts)} in "
-            "its scene",
+            f"trial {row.trial_id} has no initial state of the baseline, which has {len(starts)} "
+            "in its scene",
             fix="judge the run against the baseline that it was begun with",
         )
     return starts[row.seed_index]

@@ -344,7 +344,8 @@ def baseline_of_run(
     """
     if run.panel != "pinned":
         raise IncomparableError(
-            f"run {run.id} makes no baseline: it met fresh starts of its own, as no other run does",
+            f"run {run.id} makes no baseline: it met fresh initial states of its own, as no "
+            "other run does",
             fix="save one from a run on the pinned seed set",
         )
     if errors := [row for row in rows if row.status == "error"]:
@@ -498,7 +499,7 @@ def _fault_of_panel(panel: Panel, manifest: Manifest) -> str | None:
     if any(found != cells[panel.starts[0].scene] for found in cells.values()):
         return "its scenes differ in what is perturbed"
     if list(panel.starts) != sorted(panel.starts, key=place_of):
-        return "its starts are not in the order of scene, perturbation and index"
+        return "its initial states are not in the order of scene, perturbation and index"
     return None
 
 
@@ -560,7 +561,7 @@ def _fault_of_indexes(found: list[int], starts: int) -> str | None:
     if times > 1:
         return f"start {index} is there {times} times"
     if len(found) != starts:
-        return f"{plural(len(found), 'start')}, its manifest says {starts}"
+        return f"{plural(len(found), 'initial state')}, its manifest says {starts}"
     if max(found) != starts - 1:
         return f"start {max(found)} is not between 0 and {starts - 1}"
     return None

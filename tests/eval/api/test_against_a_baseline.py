@@ -279,7 +279,8 @@ def test_the_policy_of_the_baseline_runs_one_start_of_each_scene_and_the_rest_is
     with pytest.raises(UsageError, match="--recheck 0: give at least 1"):
         api.run("quick.yaml", baseline="shipped", recheck=0)
     with pytest.raises(
-        IncomparableError, match="has 4 starts in each scene, and 5 trials of each draw more"
+        IncomparableError,
+        match="has 4 initial states in each scene, and 5 trials of each draw more",
     ):
         api.run("quick.yaml", baseline="shipped", recheck=5, in_process=True)
 
@@ -432,7 +433,8 @@ def test_without_a_baseline_the_first_line_says_what_is_not_judged(monkeypatch):
     nothing = api.plan("quick.yaml", policy="./soft", baseline="none")
     assert (nothing.against, nothing.drawn_from) == (None, None)
     with pytest.raises(
-        IncomparableError, match="has 4 starts in each scene, and 5 trials of each draw more"
+        IncomparableError,
+        match="has 4 initial states in each scene, and 5 trials of each draw more",
     ):
         api.plan("quick.yaml", policy="./soft", trials=5)
 
@@ -653,7 +655,7 @@ def test_a_small_baseline_is_no_measure_of_a_machine_with_other_bits_and_the_run
     judged = against(policy=None)
     assert (judged.verdict.verdict, judged.verdict.exit_code) == ("INVALID", 5)
     assert (
-        "has 4 starts in each scene; a claim about new starts needs 30"
+        "has 4 initial states in each scene; a claim about new initial states needs 30"
         in (judged.verdict.reasons[0])
     )
     assert len(judged.rows) == 2, "no further trial would help"

@@ -72,7 +72,7 @@ def run(plan, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def baseline(plan, tmp_path_factory):
-    """A baseline of the suite with 30 starts in each scene."""
+    """A baseline of the suite with 30 initial states in each scene."""
     path = tmp_path_factory.mktemp("baselines") / "shipped.parquet"
     manifest = Manifest(
         name="shipped",

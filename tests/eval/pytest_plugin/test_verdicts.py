@@ -279,7 +279,7 @@ def test_a_baseline_is_saved_for_a_review_and_passes_once_it_is_there(
     baseline = "reports/baselines/tiny/stand.parquet"
     first.stdout.fnmatch_lines(
         [
-            f"{baseline} is new: stand, 1 start in each scene",
+            f"{baseline} is new: stand, 1 initial state in each scene",
             "Check what has changed, commit it, and run again without --nw-update-baseline.",
             f"FAILED tiny.yaml::verdict - {baseline} is new*",
             "SKIPPED * the baseline is being saved",

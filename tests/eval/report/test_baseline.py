@@ -119,7 +119,7 @@ def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page, found):
     assert "confirm it with --seed-set fresh" in pinned
     assert "The seed set is fresh: it follows from what the checkpoint computes" in fresh
     assert "On this fresh seed set (seed 7) success is exactly" in fresh
-    assert "same starts), fresh |" in " ".join(fresh.split())
+    assert "same initial states), fresh |" in " ".join(fresh.split())
 
 
 def test_the_page_of_the_same_policy_says_what_was_taken_over_and_what_ran_again(page, found):

@@ -588,7 +588,7 @@ def test_a_baseline_needs_as_many_starts_as_rounds_and_says_how_many_to_save(
     drawn = make_run(["a"], 20, drawn_from=20)
     few = make_against(make_baseline(drawn, {"a": [1.0] * 10}))
     with pytest.raises(
-        IncomparableError, match="has 10 starts in each scene; the run needs 20"
+        IncomparableError, match="has 10 initial states in each scene; the run needs 20"
     ) as caught:
         compare([], drawn, few, GATE)
     assert caught.value.exit_code == 5
@@ -671,7 +671,9 @@ def test_a_claim_about_new_starts_needs_a_sample_of_them_and_says_which_command_
     few = make_against(make_baseline(drawn, {"a": [1.0] * 20}))
     with pytest.raises(IncomparableError) as caught:
         compare([], drawn, few, Gate())
-    assert "has 20 starts in each scene; a claim about new starts needs 30" in str(caught.value)
+    assert "has 20 initial states in each scene; a claim about new initial states needs 30" in str(
+        caught.value
+    )
     assert "nw-eval baseline save hurdles --policy go1-act-rgb --trials 30" in str(caught.value)
     enough = make_run(["a"], 20, drawn_from=30)
     known = make_against(make_baseline(enough, {"a": [1.0] * 30}))

@@ -122,7 +122,7 @@ def test_every_fault_is_told_at_once(make_run, baseline):
 def test_fresh_starts_are_of_another_seed_and_of_no_other_difference(make_run, baseline):
     check_match(make_run(["a", "b"], 10, panel="fresh", suite={"seed": 5}), baseline)
     same = refusal(make_run(["a", "b"], 10, panel="fresh"), baseline)
-    assert same == "its seed 20261 is the baseline's, so its starts are not fresh"
+    assert same == "its seed 20261 is the baseline's, so its initial states are not fresh"
     other = make_run(["a", "b"], 10, panel="fresh", suite={"seed": 5, "robot": "go2"})
     assert refusal(other, baseline).endswith(
         "robot, task, episode, pictures or version of a plug-in differ"

@@ -96,7 +96,7 @@ def test_a_run_whose_starts_were_drawn_is_no_baseline(run, rows):
 def test_a_run_on_fresh_starts_is_no_baseline(run, rows):
     fresh = run.model_copy(update={"panel": "fresh"})
     with pytest.raises(
-        IncomparableError, match="r1 makes no baseline: it met fresh starts of its own"
+        IncomparableError, match="r1 makes no baseline: it met fresh initial states of its own"
     ):
         baseline_of_run(rows, fresh, name="p")
 
