@@ -65,7 +65,7 @@ class Axis:
         unit: of the values; empty for plain numbers.
         step: of which values are whole numbers; None = any number.
         steps: what those are called in messages.
-        nominal: nearest to what robot and scene are without the axis, where `neutral` is None.
+        nominal: default value when the axis has no neutral one (`neutral` is None).
         slider: least value, greatest value and step of the slider in `nw-eval view`; `low`, `high`
             and a hundredth of their distance if None.
         felt_by: what a policy must have to feel it.

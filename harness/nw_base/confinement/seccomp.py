@@ -277,7 +277,7 @@ def _judged(name: str, *, process: int, opens_to_write: bool) -> list[Instructio
 
 
 def _load(index: int) -> Instruction:
-    """Return what loads the lower half of an argument."""
+    """Return the instruction that loads the lower half of an argument."""
     return Instruction(_LOAD, _ARGUMENTS + 8 * index)
 
 

@@ -77,7 +77,7 @@ def continued(run: Path, request: Request) -> Plan:
             # Its suite as it was kept names the policy that was asked for.
             own_policy=info.own_policy,
         )
-    return _as_drawn(plan, folder, info)
+    return _restore_draw(plan, folder, info)
 
 
 def _check_gate(run: Path, begun: Suite, now: Suite) -> None:
@@ -102,7 +102,7 @@ def _check_gate(run: Path, begun: Suite, now: Suite) -> None:
         )
 
 
-def _as_drawn(plan: Plan, folder: RunFolder, info: RunInfo) -> Plan:
+def _restore_draw(plan: Plan, folder: RunFolder, info: RunInfo) -> Plan:
     """Return a plan that meets the starts that its run was begun with."""
     from nw_eval.api.plans import rechecked
     from nw_gate.results.journal import has_begun, read_journal

@@ -30,7 +30,7 @@ def wanted_baseline(request: Request, suite: Suite, *, own_policy: bool) -> Load
     """Return the baseline to compare with; None when no baseline is wanted.
 
     Args:
-        request: what is asked for.
+        request: the options given.
         suite: the suite.
         own_policy: whether the policy is the suite's own. Its baseline counts for no other: a
             user's first verdict is about the user's policy.
@@ -156,7 +156,7 @@ def resumed_baseline(
         folder: the run's folder.
         info: its run.json.
         suite: its suite.
-        request: what is asked for now.
+        request: the options given now.
 
     Raises:
         UsageError, StoreError: as `wanted_baseline`.

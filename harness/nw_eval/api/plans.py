@@ -74,10 +74,10 @@ def plan_of(
     own_policy: bool | None = None,
     may_fail: bool = True,
 ) -> Plan:
-    """Resolve what is asked of a suite, as `plan` does.
+    """Resolve a request for a suite, as `plan` does.
 
     Args:
-        request: what is asked for.
+        request: the options given.
         draft: the suite, as far as it could be read.
         card: where its policy lies, if that is known: a run that is resumed elsewhere still names
             its policy as it was asked for, and finds it where it was.
@@ -116,7 +116,9 @@ def plan_of(
             read = beside.submit(wanted_baseline, request, suite, own_policy=own_policy)
         found = open_scenes(draft, faults, request.collision)
         for found_scene in found:
-            _ = found_scene.scene.digest  # Kept; what looks at the policy is still starting.
+            _ = (
+                found_scene.scene.digest
+            )  # Kept; the process that checks the policy is still starting.
         if bundle is None:
             bundle = open_policy(draft, faults, request, robot=robot, card=card, may_fail=may_fail)
         else:
@@ -552,7 +554,7 @@ def open_policy(
     Args:
         draft: the suite.
         faults: where to tell what is wrong.
-        request: what is asked for in place of the suite's own.
+        request: options that replace the suite's own.
         robot: that the suite runs; None = its own fault is already reported.
         card: where the policy lies, if that is known.
         may_fail: as for `vet_bundle`.
@@ -593,7 +595,7 @@ def _is_own_policy(draft: Draft, request: Request) -> bool:
 
     Args:
         draft: the suite.
-        request: what is asked for.
+        request: the options given.
     """
     from nw_base.errors import PolicyError
     from nw_policies import find_card
@@ -623,7 +625,7 @@ def _vet_policy(
     Args:
         draft: the suite.
         faults: where to tell what is wrong.
-        request: what is asked for in place of the suite's own.
+        request: options that replace the suite's own.
         bundle: the policy.
         robot: that the suite runs; None = its own fault is already reported.
         may_fail: as for `vet_bundle`.

@@ -111,7 +111,7 @@ def bisect(
 
     def word(index: int) -> Decision:
         name = f"{index + 1:02d}-{re.sub(r'[^A-Za-z0-9_.]+', '-', Path(series[index]).stem)}"
-        asked_for = _of(request, series[index], baseline)
+        asked_for = _request_for(request, series[index], baseline)
         runs[index] = _judged(asked_for, folder / name, how)
         finding = _finding(runs[index])
         if progress is not None:
@@ -189,8 +189,8 @@ def _check_place(checkpoint: str | Path) -> None:
         find_card(str(checkpoint))
 
 
-def _of(request: Request, checkpoint: str, baseline: str | None = None) -> Request:
-    """Return what runs one checkpoint: weights for the card of a policy, or a policy of its own."""
+def _request_for(request: Request, checkpoint: str, baseline: str | None = None) -> Request:
+    """Return the request for one checkpoint: weights for a policy's card, or its own policy."""
     if Path(checkpoint).is_file() and Path(checkpoint).suffix not in {".yaml", ".yml"}:
         return replace(request, checkpoint=Path(checkpoint), baseline=baseline)
     return replace(request, policy=checkpoint, baseline=baseline)
@@ -209,7 +209,7 @@ def _baseline_of(
 
     if _is_baseline(good, suite):
         return str(good)
-    wanted = _of(request, str(good))
+    wanted = _request_for(request, str(good))
     saved = save_baseline(
         suite if request.suite is None else request.suite,
         policy=wanted.policy,

@@ -132,7 +132,7 @@ def check_limits(request: Request, door: str) -> None:
     """Refuse limits to trials that run in the calling process.
 
     Args:
-        request: what is asked for.
+        request: the options given.
         door: why they do, in words.
 
     Raises:

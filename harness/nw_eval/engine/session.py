@@ -265,7 +265,7 @@ class Session:
         self.keep(ended.model_copy(update={"finished": now(), "wall_s": wall}))
 
     def _begun(self) -> Attempts:
-        """Return what makes attempts, with workers, scenes and the cache opened once."""
+        """Return the runner of attempts, with workers, scenes and the cache opened once."""
         if self._attempts is not None:
             return self._attempts
         plan, how, folder, stack = self._plan, self._how, self.folder, self._running
@@ -318,7 +318,7 @@ def _scenes_by_first_use(plan: Plan) -> list[Scene]:
 def _open_backend(
     plan: Plan, listener: Listener, builders: SplatBuilders, *, in_process: bool
 ) -> None:
-    """Compile what draws, casts rays and runs networks, while splats are built beside it."""
+    """Compile the kernels of renderer, rays and networks while splats are built beside it."""
     code = plan.request.allow_code and senses_by_code(plan.bundle.card)
     open_backend(
         plan.render if plan.renders else "cpu",

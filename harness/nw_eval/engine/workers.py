@@ -148,7 +148,7 @@ class InProcessWorkers(QueuedWorkers):
         return self
 
     def finished(self) -> Iterator[Finished | None]:
-        """Run the queued jobs and yield what they come to.
+        """Run the queued jobs and yield their results.
 
         Raises:
             KeyboardInterrupt: Ctrl-C, where the first one is not handled.

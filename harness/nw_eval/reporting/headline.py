@@ -154,7 +154,7 @@ def _beside(verdict: Verdict) -> str:
 
 
 def _success(verdict: Verdict) -> str:
-    """Return mean success, the baseline's in the same scenes, and what is asked of both.
+    """Return mean success, the baseline's in the same scenes, and the gate's limits.
 
     Success is the baseline's less the drop. Where trials that are not compared bear on it too, or
     trials that count less, the drop stands alone, with its trials.

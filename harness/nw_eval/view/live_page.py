@@ -339,7 +339,7 @@ class LivePanel:
     Args:
         page: that they steer; viser's panel there is empty.
         stage: whose axes of perturbation have sliders.
-        heading: what runs, and where.
+        heading: names the policy and the scene.
         has_splat: of the scene.
         save_to: the folder that is proposed.
     """

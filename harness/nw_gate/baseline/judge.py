@@ -76,7 +76,7 @@ class ComparisonSetup:
     """Whether the candidate is the baseline's own policy, with other bits than the baseline's."""
 
     def on(self, rows: Sequence[Row]) -> ComparisonSetup:
-        """Return what compares, once rows show whether the baseline's own policy has its bits here.
+        """Return the setup, once rows show whether the baseline's own policy has its bits here.
 
         Where it has, its results are the baseline's. Where it has not, they are compared with the
         baseline like those of any candidate: what changed is the machine or the version.

@@ -20,7 +20,7 @@ NetworkAdapter = Literal["onnx", "torchscript", "torch-export"]
 BuiltInAdapter = Literal[
     NetworkAdapter, "mlp", "lucidsim", "extreme-parkour", "act", "remote", "zero"
 ]
-"""The table of adapters; what opens each of them stands in `nw_policies.opening`."""
+"""The table of adapters; `nw_policies.opening` has the function that opens each."""
 
 ADAPTERS: tuple[str, ...] = get_args(BuiltInAdapter)
 
