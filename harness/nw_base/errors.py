@@ -8,10 +8,10 @@
     ├─ PolicyError         exit 2   a card or checkpoint that cannot be used, found before physics
     │  ├─ CodeError        exit 2   Python code that a card names failed
     │  └─ CrashError       exit 4   the process that opened a checkpoint died
-    ├─ PluginError         exit 2   a package's plug-in that cannot be imported, or is none
+    ├─ PluginError         exit 2   a package's plug-in that cannot be imported, or is invalid
     ├─ PrerequisiteError   exit 2   an extra, a driver or a backend that is not installed
     ├─ TrialError          exit 4   a trial that could not be run to a result
-    │  ├─ ActionError      exit 4   an action that is none: the policy's own failure
+    │  ├─ ActionError      exit 4   an invalid action: the policy's own failure
     │  │  └─ NotFiniteError  exit 4   with a NaN or inf in it
     │  ├─ DivergedError    exit 4   physics that left all bounds
     │  └─ ServerError      exit 4   a policy's server that cannot be asked: no failure of it

@@ -16,7 +16,7 @@ from nw_base.plugins import is_measure
 from nw_base.words import Tier
 
 MAX_TRIALS = 1_000_000
-"""Most trials of one run; more is a slip of the pen."""
+"""Most trials of one run; more is a typo."""
 
 
 DrawnStart = tuple[str, tuple[tuple[str, float], ...], int]
@@ -126,7 +126,7 @@ def _beginning(suite_digest: str, scene_digest: str, task: str) -> str:
     return canonical([suite_digest, scene_digest, task])[:-1]
 
 
-def _of(first: Trial, index: int, place: int | None = None) -> Trial:
+def _trial_at(first: Trial, index: int, place: int | None = None) -> Trial:
     """Return another trial of a scene and cell; as `replace`, in a fifth of the time."""
     trial: Trial = object.__new__(Trial)
     for get, put in _SLOTS:
@@ -181,11 +181,13 @@ def expand(
         for scene in scenes
     ]
     if drawn is None:
-        trials = tuple(_of(first, round_) for round_ in range(suite.trials) for first in firsts)
+        trials = tuple(
+            _trial_at(first, round_) for round_ in range(suite.trials) for first in firsts
+        )
     else:
         by_stratum = {(first.scene, first.perturbation): first for first in firsts}
         trials = tuple(
-            _of(by_stratum[scene, cell], index, place)
+            _trial_at(by_stratum[scene, cell], index, place)
             for place, (scene, cell, index) in enumerate(drawn)
         )
     owners: dict[str, str] = {}

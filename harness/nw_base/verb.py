@@ -16,7 +16,7 @@ GROUP = "nw_eval.verbs"
 
 
 class Part(NamedTuple):
-    """A verb of a family. The first line of its docstring is told of it."""
+    """A verb of a family. The first line of its docstring is its help."""
 
     form: str
     """Its class, in `module`."""

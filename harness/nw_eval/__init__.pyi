@@ -21,8 +21,8 @@ from nw_eval.engine.plan import Forecast as Forecast
 from nw_eval.engine.plan import Plan as Plan
 from nw_eval.viewing.recording.track import WrittenRecording as WrittenRecording
 from nw_gate.ledger_report import LedgerReport as LedgerReport
-from nw_gate.results.bank import BaselineChange as BaselineChange
-from nw_gate.results.bank import BaselineResults as BaselineResults
+from nw_gate.results.baseline import BaselineChange as BaselineChange
+from nw_gate.results.baseline import BaselineResults as BaselineResults
 from nw_gate.results.request import Request as Request
 from nw_gate.results.row import Row as Row
 from nw_gate.scores import Score as Score

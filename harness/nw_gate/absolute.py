@@ -207,7 +207,7 @@ def word_of_bar(rows: Sequence[Row], gate: Gate, scenes: Collection[str]) -> Wor
     Args:
         rows: of these trials.
         gate: with a bar.
-        scenes: of the run.
+        scenes: the run's.
     """
     assert gate.success_rate is not None, "a gate without a bar has nothing to decide"
     critical = [scene for scene in scenes if gate.tier(scene) == "critical"]
@@ -235,7 +235,7 @@ def _bounds(judged: Sequence[Sequence[Row]], left: frozenset[str], gate: Gate) -
 def _is_open(word: Word, left: frozenset[str], against: Comparison | None) -> bool:
     """Return whether it can be said what more trials would bring to the bar.
 
-    They are of no use to it once the baseline has flagged; and how many would leave the captured
+    They change nothing once the baseline has flagged; and how many would leave the captured
     volume, once some have, is unknown.
     """
     moot = against is not None and against.word == "REGRESSED"

@@ -69,14 +69,14 @@ def bisect(length: int, judge: Judge, *, everyone: bool = False) -> Bisection:
     """
     words: dict[int, Decision] = {}
 
-    def ask(place: int) -> Decision:
-        if place not in words:
-            words[place] = judge(place)
-        return words[place]
+    def ask(index: int) -> Decision:
+        if index not in words:
+            words[index] = judge(index)
+        return words[index]
 
     if everyone:
-        for place in range(length):
-            ask(place)
+        for index in range(length):
+            ask(index)
     elif ask(length - 1) != "PASS":
         _halve(length, ask, words)
         for stretch in _unseen(length, words):

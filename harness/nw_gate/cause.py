@@ -117,12 +117,12 @@ class Cause:
         regressed: trials that the old policy completes and the new one does not.
         arms: old and new control, each with old and new perception.
         drop: from old to new.
-        sight: its part.
-        control: as above.
+        sight: part of the drop that perception causes.
+        control: part of the drop that control causes.
         answer: in a word.
         why: in a sentence, what cannot be told and why, or that nothing dropped; empty where all is
             told.
-        error: probability of naming an effect that is none, at most.
+        error: probability of naming an effect that does not exist, at most.
     """
 
     old: str

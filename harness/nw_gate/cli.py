@@ -118,7 +118,7 @@ def table(found: Judgement) -> str:
     if found.decided_after is not None:
         lines.append(f"  settled after {found.decided_after} of {found.rounds} episodes a task")
     if found.paired_by == "order":
-        lines.append("  paired by order: the files do not name the same starts")
+        lines.append("  paired by order: the files do not name the same initial states")
     width = max(len(task.task) for task in found.tasks)
     lines += ["", f"  {'task':{width}}  episodes  candidate  baseline"]
     for task in found.tasks:

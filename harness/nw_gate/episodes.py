@@ -348,8 +348,8 @@ def _telling_apart(
     for name in candidates:
         if _tells_apart(records, names, [name]):
             return [name]
-    for place, name in enumerate(candidates):
-        for other in candidates[place + 1 :]:
+    for index, name in enumerate(candidates):
+        for other in candidates[index + 1 :]:
             if _tells_apart(records, names, [name, other]):
                 return [name, other]
     return []

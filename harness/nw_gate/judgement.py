@@ -323,7 +323,7 @@ def _order_words(word: GateWord, drop: float, limits: Limits, rounds: int | None
     return (
         f"the first {rounds} episodes of each task say {word}, and all of them a drop of "
         f"{drop:+.3f}, where {limit} is the limit: the order of the episodes may depend on their "
-        "scores; give them in the order in which they ran, or name their starts (--start)"
+        "scores; give them in the order in which they ran, or name their initial states (--start)"
     )
 
 

@@ -44,7 +44,7 @@ from nw_base.files.inside import bounded_bytes, what_is
 from nw_base.plural import plural
 from nw_base.words import PanelKind, Tier
 from nw_gate.absolute import by_scene, courses
-from nw_gate.results.bank import trajectory
+from nw_gate.results.baseline import trajectory
 from nw_gate.results.provenance import BaselineInfo, RunInfo
 from nw_gate.results.row import Row
 from nw_gate.results.seal import seal, unseal
@@ -126,7 +126,7 @@ class LedgerEntry(_Line):
     tiers: dict[str, Tier] = Field(default_factory=dict[str, Tier])
     """Of all scenes that were judged, by name; empty: an older nw-eval, which did not write it."""
     trajectories: dict[str, str] = Field(default_factory=dict[str, str], max_length=10_000)
-    """Some of the trials: `nw_gate.results.bank.trajectory` by a digest of the start."""
+    """Some of the trials: `nw_gate.results.baseline.trajectory` by a digest of the start."""
     baseline: BaselineEntry | None = None
     scores: dict[str, tuple[float | None, float | None, float, float]] = Field(
         default_factory=dict[str, tuple[float | None, float | None, float, float]]
@@ -172,7 +172,7 @@ def _entry_of(
     rows: Sequence[Row],
     *,
     time: datetime,
-    bank: BaselineInfo | None = None,
+    baseline: BaselineInfo | None = None,
 ) -> LedgerEntry:
     """Return what a ledger keeps of a verdict.
 
@@ -181,7 +181,7 @@ def _entry_of(
         run: what it is on.
         rows: that it rests on.
         time: when it was given, with its time zone.
-        bank: that the run was compared with; the one that it was begun against if None.
+        baseline: that the run was compared with; the one that it was begun against if None.
     """
     who = f"{run.policy.checkpoint_digest}/{run.policy.card_digest}"
     seen = courses(by_scene(rows, run.planned), verdict.per_scene, verdict.left)
@@ -204,7 +204,7 @@ def _entry_of(
         ),
         tiers={item.scene: item.tier for item in verdict.per_scene},
         trajectories=_trajectories(rows, run.suite_digest),
-        baseline=_baseline(verdict, bank or run.baseline),
+        baseline=_baseline(verdict, baseline or run.baseline),
         scores={
             item.spec.name: (item.bar, item.max_drop, item.spec.low, item.spec.high)
             for item in verdict.scores
@@ -228,13 +228,13 @@ def _trajectories(rows: Sequence[Row], suite_digest: str) -> dict[str, str]:
     return dict(sorted(found.items())[:_MOST_TRAJECTORIES])
 
 
-def _baseline(verdict: Verdict, bank: BaselineInfo | None) -> BaselineEntry | None:
+def _baseline(verdict: Verdict, baseline: BaselineInfo | None) -> BaselineEntry | None:
     found = verdict.against
     if found is None:
         return None
     return BaselineEntry(
-        bank=found.bank,
-        digest="" if bank is None else bank.sha256,
+        bank=found.baseline_name,
+        digest="" if baseline is None else baseline.sha256,
         basis=found.basis,
         word=found.word,
         trials=found.trials,
@@ -281,7 +281,7 @@ def append_verdict(
     run: RunInfo,
     rows: Sequence[Row],
     *,
-    bank: BaselineInfo | None = None,
+    baseline: BaselineInfo | None = None,
 ) -> LedgerEntry:
     """Add a verdict that was just given to a ledger.
 
@@ -290,12 +290,12 @@ def append_verdict(
         verdict: that was given.
         run: what it is on.
         rows: that it rests on.
-        bank: that the run was compared with; the one that it was begun against if None.
+        baseline: that the run was compared with; the one that it was begun against if None.
 
     Raises:
         StoreError: the ledger is damaged, or cannot be written.
     """
-    entry = _entry_of(verdict, run, rows, time=datetime.now(tz=UTC), bank=bank)
+    entry = _entry_of(verdict, run, rows, time=datetime.now(tz=UTC), baseline=baseline)
     append_entry(path, entry)
     return entry
 
@@ -496,7 +496,7 @@ def _write(handle: IO[bytes], data: bytes) -> None:
             written += handle.write(data[written:])
         os.fsync(handle.fileno())
     except OSError:
-        handle.truncate(before)  # Half a line is of no use.
+        handle.truncate(before)  # A partial line is useless.
         raise
 
 
@@ -507,9 +507,9 @@ def _read(path: Path, stream: IO[bytes]) -> LedgerContents:
     good, last_sum = 0, ""
     sums: list[str] = []
     for number, line in enumerate(iter(lambda: stream.readline(_LONGEST_LINE), b""), start=1):
-        place = f"{path}:{number}"
+        location = f"{path}:{number}"
         if not line.endswith(b"\n") and len(line) < _LONGEST_LINE:
-            dropped = f"{place}: dropped a line that was cut off after {len(line)} bytes"
+            dropped = f"{location}: dropped a line that was cut off after {len(line)} bytes"
             return LedgerContents(
                 entries=tuple(entries), dropped=dropped, good_bytes=good, sums=tuple(sums)
             )
@@ -523,9 +523,9 @@ def _read(path: Path, stream: IO[bytes]) -> LedgerContents:
         except ValidationError as error:
             first = error.errors()[0]
             fault = f"{'.'.join(map(str, first['loc']))}: {first['msg'].lower()}"
-            raise StoreError(f"{place}: {clean(fault, at_most=200)}", fix=_MEND) from None
+            raise StoreError(f"{location}: {clean(fault, at_most=200)}", fix=_MEND) from None
         except (ValueError, TypeError, LookupError, RecursionError) as error:
-            raise StoreError(f"{place}: damaged ({clean(error)})", fix=_MEND) from None
+            raise StoreError(f"{location}: damaged ({clean(error)})", fix=_MEND) from None
         good += len(line)
         sums.append(last_sum)
     return LedgerContents(entries=tuple(entries), good_bytes=good, sums=tuple(sums))

@@ -11,7 +11,7 @@ from statistics import fmean
 
 from nw_base.words import PanelKind
 from nw_gate.ledger import LedgerEntry
-from nw_gate.stats.bank.trials import most_false_alarms
+from nw_gate.stats.baseline.trials import most_false_alarms
 from nw_gate.stats.power import luck_of_the_best
 from nw_gate.verdict import Word
 
@@ -98,7 +98,7 @@ class LedgerReport:
 def ledger_report(
     entries: Sequence[LedgerEntry], *, dropped: str | None = None, head: str = ""
 ) -> LedgerReport:
-    """Reckon up a ledger.
+    """Summarise a ledger.
 
     A wrong word has at most the probability that its test was set to, so that some tests together
     give on average at most the sum of these of them, whether they are independent or not. And at

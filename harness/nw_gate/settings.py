@@ -198,7 +198,7 @@ def tier_of(scene: str, tiers: Mapping[str, Tier]) -> Tier:
 
 _ROUNDS, _TRIALS = 20, 200
 """Of each scene, and in all, at least: in one scene 20 trials let an equal policy pass in one of
-eight gates, 200 in six of seven (tests/gate/stats/bank/test_few_scenes.py)."""
+eight gates, 200 in six of seven (tests/gate/stats/baseline/test_few_scenes.py)."""
 
 
 class Gate(Grown):

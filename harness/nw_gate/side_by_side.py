@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_base.errors import IncomparableError, UsageError, nearest
-from nw_gate.results.bank import BankKey, BaselineResults, Panel, Start, key_of
+from nw_gate.results.baseline import BaselineKey, BaselineResults, Panel, Start, key_of
 from nw_gate.results.column import Settings
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.real import RealResult
@@ -52,7 +52,7 @@ class Entrant:
     """The run or baseline as it was named."""
     suite: str
     policy: str
-    key: BankKey
+    key: BaselineKey
     results: Mapping[StartName, Row | Start]
     """Of the trials that came to one."""
     scores: Mapping[str, ScoreSpec] = field(default_factory=dict[str, ScoreSpec])
@@ -71,15 +71,17 @@ def entrant_of_run(source: str, run: RunInfo, rows: Iterable[Row]) -> Entrant:
     )
 
 
-def entrant_of_bank(source: str, bank: BaselineResults, panel: Panel) -> Entrant:
+def entrant_of_baseline(source: str, baseline: BaselineResults, panel: Panel) -> Entrant:
     """Return what a baseline compares with, on one class of machine."""
     return Entrant(
         source=source,
-        suite=bank.manifest.suite,
-        policy=bank.manifest.policy.name,
-        key=bank.manifest.key,
+        suite=baseline.manifest.suite,
+        policy=baseline.manifest.policy.name,
+        key=baseline.manifest.key,
         results=_named(panel.starts),
-        scores={name: cls.spec for name, cls in BUILT_IN.items() if name in bank.manifest.scores},
+        scores={
+            name: cls.spec for name, cls in BUILT_IN.items() if name in baseline.manifest.scores
+        },
     )
 
 
@@ -180,7 +182,7 @@ class ComparedScore:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneParting:
-    """The first waypoint at which a policy parts from the first one."""
+    """The first waypoint at which a policy diverges from the first one."""
 
     scene: str | None
     """None: all scenes together."""
@@ -231,7 +233,7 @@ def side_by_side(entrants: Sequence[Entrant], confidence: float = 0.95) -> Polic
     """Return what policies show side by side.
 
     Args:
-        entrants: at least two; where they part is where each parts from the first.
+        entrants: at least two; where they diverge is where each diverges from the first.
         confidence: of each interval alone; of all ranks together; of all partings together.
 
     Raises:
@@ -345,7 +347,7 @@ def _scenes(entrants: Sequence[Entrant]) -> list[str]:
 
 
 def _successes(entrant: Entrant, names: Sequence[StartName]) -> NDArray[np.float64]:
-    # Neither a baseline nor a trial that came to a result is without one.
+    # Neither a baseline nor a trial that have a result is without one.
     return np.array([entrant.results[name].success for name in names], dtype=np.float64)
 
 
@@ -425,15 +427,15 @@ def _labels(entrants: Sequence[Entrant]) -> list[str]:
     ]
     clashing = Counter(labels)
     return [
-        label if clashing[label] == 1 else f"{label} #{place}"
-        for place, label in enumerate(labels, 1)
+        label if clashing[label] == 1 else f"{label} #{index}"
+        for index, label in enumerate(labels, 1)
     ]
 
 
 def _partings(
     entrants: Sequence[Entrant], starts: Sequence[_Starts], confidence: float
 ) -> tuple[tuple[SceneParting, ...], int]:
-    """Return where each policy parts from the first, and how many waypoints were looked at."""
+    """Return where each policy diverges from the first, and how many waypoints were looked at."""
     first, *others = [
         {scene: _ends(entrant, names) for scene, names in scenes.items()}
         for entrant, scenes in zip(entrants, starts, strict=True)

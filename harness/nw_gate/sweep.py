@@ -55,7 +55,7 @@ class Point:
 
     @property
     def trials(self) -> int:
-        """How many came to a result."""
+        """How many have a result."""
         return sum(n for _, n in self.completed.values())
 
     @property

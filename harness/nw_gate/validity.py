@@ -81,7 +81,7 @@ def in_a_sentence(rows: Sequence[Row], left: frozenset[str], gate: Gate) -> tupl
     """Return how many trials left, and how many scenes could not be checked.
 
     Args:
-        rows: of the run.
+        rows: the run's.
         left: the trials that left.
         gate: of the suite.
     """

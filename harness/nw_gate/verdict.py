@@ -9,10 +9,10 @@ from warnings import warn
 
 from nw_base.plural import plural
 from nw_base.words import Tier
-from nw_gate.results.bank import Stratum
+from nw_gate.results.baseline import Stratum
 from nw_gate.results.column import Settings
 from nw_gate.scores import ScoreSpec
-from nw_gate.stats.bank.curve import CurvePoint
+from nw_gate.stats.baseline.curve import CurvePoint
 from nw_gate.stats.hazard import Ends
 from nw_gate.stats.interval import Interval
 
@@ -223,7 +223,7 @@ class SceneDrop:
     """The first waypoint, from 1, at which the two part significantly: of a scene that regressed or
     may have, or has the largest drop of a policy that regressed."""
     ends: tuple[Ends, Ends] | None = None
-    """Of all starts of the baseline, and of the trials judged that came to a result: how many ended
+    """Of all starts of the baseline, and of the trials judged that have a result: how many ended
     after 0, 1, .. K waypoints. None where the scene has no waypoints."""
 
     @property
@@ -265,7 +265,7 @@ class Comparison:
     """
 
     word: Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
-    bank: str
+    baseline_name: str
     """The baseline's name."""
     policy: str
     """The baseline's policy."""

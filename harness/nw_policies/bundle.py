@@ -397,7 +397,7 @@ def find_card(name_or_path: str | Path, *, search: Path | None = None) -> Path:
 
     Args:
         name_or_path: as for `load_bundle`.
-        search: as above.
+        search: as for `load_bundle`.
 
     Raises:
         PolicyError: there is no such bundle.

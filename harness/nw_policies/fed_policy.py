@@ -118,7 +118,7 @@ def _open_network(
     """Open one file of a bundle for some of its outputs.
 
     Args:
-        adapter: what runs the file.
+        adapter: name of the runtime of the file.
         bundle: from `Bundle.of_network`.
         wanted: which outputs `run` is to return, in this order.
         allow_code: as for `open_policy`.

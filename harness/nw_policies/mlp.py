@@ -161,8 +161,8 @@ class MlpPolicy(NetworkPolicy):
     def memory(self) -> dict[str, Tensor]:
         """Return the hidden states."""
         return {
-            f"{place} {number}": tensor
-            for place, hidden in enumerate(self._hidden.values())
+            f"{index} {number}": tensor
+            for index, hidden in enumerate(self._hidden.values())
             for number, tensor in enumerate(hidden)
         }
 
@@ -170,10 +170,10 @@ class MlpPolicy(NetworkPolicy):
         """Take hidden states."""
         self._hidden = {
             name: tuple(
-                memory[f"{place} {number}"].view(tensor.shape)
+                memory[f"{index} {number}"].view(tensor.shape)
                 for number, tensor in enumerate(hidden)
             )
-            for place, (name, hidden) in enumerate(self._hidden.items())
+            for index, (name, hidden) in enumerate(self._hidden.items())
         }
 
 

@@ -72,7 +72,7 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
     Raises:
         PolicyError: a file is not what the card's adapter reads, or its inputs and outputs do not
             fit the card.
-        PrerequisiteError: what reads its files is not installed.
+        PrerequisiteError: the package that reads its files is not installed.
     """
     line, card = current_line(), bundle.card
     if card.adapter == "zero":

@@ -58,8 +58,8 @@ def packed(files: Mapping[str, PlannedFile]) -> bytes:
     arrays: Arrays = {}
     told: dict[str, Any] = {}
     for number, (name, file) in enumerate(files.items()):
-        for place, (_, program) in enumerate(file.parts):
-            arrays[f"{number} program {place}"] = np.frombuffer(program.packed(), np.uint8)
+        for index, (_, program) in enumerate(file.parts):
+            arrays[f"{number} program {index}"] = np.frombuffer(program.packed(), np.uint8)
         arrays |= {f"{number} first {key}": array for key, array in file.first.items()}
         told[name] = {
             "every": [every for every, _ in file.parts],
@@ -90,8 +90,8 @@ def _read(arrays: Arrays) -> dict[str, PlannedFile]:
         if len(every) > _PARTS or not all(1 <= each <= _EVERY for each in every):
             raise ValueError(f"parts every {every} actions")
         programs = [
-            Program.unpacked(arrays[f"{number} program {place}"].tobytes())
-            for place in range(len(every))
+            Program.unpacked(arrays[f"{number} program {index}"].tobytes())
+            for index in range(len(every))
         ]
         found[str(name)] = PlannedFile(
             inputs=read_specs(one["inputs"]),
@@ -182,7 +182,7 @@ class PlannedNetwork:
         flat: list[NDArray[Any]] = []
         for one in self._assemble.in_order(observation):
             flat += one if isinstance(one, list) else [one]
-        feeds = {f"input {place}": array for place, array in enumerate(flat)} | self._memory
+        feeds = {f"input {index}": array for index, array in enumerate(flat)} | self._memory
         results: Arrays = {}
         try:
             for every, network in self._parts:
@@ -194,7 +194,7 @@ class PlannedNetwork:
         except (KeyError, ValueError) as error:
             raise TrialError(f"{self._subject} failed: {clean(error, at_most=200)}") from error
         self._step += 1
-        return tuple(results[f"{NEXT}output {place}"] for place in range(self._count))
+        return tuple(results[f"{NEXT}output {index}"] for index in range(self._count))
 
     def state(self) -> bytes:
         """Return what it remembers."""

@@ -349,7 +349,7 @@ class Server:
             try:
                 action = policies[number].act(boards[number])
                 data: bytes = np.asarray(action, np.float64).tobytes()
-            except BaseException as error:  # noqa: BLE001 - the caller hears what a policy raises.
+            except BaseException as error:  # noqa: BLE001 - the caller receives what a policy raises.
                 self._line.tell({"error": self._describe(error)}, policy=number)
             else:
                 os.write(writes, HEADER.pack(ACT, number, 0, len(data)) + data)  # All, or none.

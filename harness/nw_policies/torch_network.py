@@ -111,7 +111,7 @@ class TorchNetwork:
 
         def run() -> dict[str, Tensor]:
             outputs = self.outputs(given)
-            found = {f"output {place}": tensor for place, tensor in enumerate(outputs)}
+            found = {f"output {index}": tensor for index, tensor in enumerate(outputs)}
             return found | self.memory()
 
         kept = {name: tensor.numpy().copy() for name, tensor in first.items()}

@@ -173,16 +173,16 @@ class TorchScriptNetwork:
             for name in self._arguments
         ]
 
-    def _picked(self, outputs: Sequence[Any], place: int) -> NDArray[Any]:
-        if place >= len(outputs):
+    def _picked(self, outputs: Sequence[Any], index: int) -> NDArray[Any]:
+        if index >= len(outputs):
             raise TrialError(
-                f"{self._subject} returned {plural(len(outputs), 'tensor')}, none at index {place}",
+                f"{self._subject} returned {plural(len(outputs), 'tensor')}, none at index {index}",
                 fix="indices count from 0: correct `output` on the card",
             )
-        if not isinstance(outputs[place], torch.Tensor):
-            kind = type(outputs[place]).__name__
+        if not isinstance(outputs[index], torch.Tensor):
+            kind = type(outputs[index]).__name__
             raise TrialError(f"{self._subject} returned a {kind}, no tensor")
-        return outputs[place].numpy()
+        return outputs[index].numpy()
 
     def state(self) -> bytes:
         """Return the state where it differs from the file's, as bytes."""
@@ -238,11 +238,11 @@ def _fed(recurrent: Recurrent | None) -> dict[str, Feedback]:
     return {n: one for n, one in (recurrent or {}).items() if isinstance(one, Feedback)}
 
 
-def _free(place: int, feeding: Sequence[int]) -> int:
+def _free(index: int, feeding: Sequence[int]) -> int:
     """Return the position among all outputs from that among those that feed no state."""
     for taken in sorted(set(feeding)):
-        place += taken <= place
-    return place
+        index += taken <= index
+    return index
 
 
 def _check_signature(module: Any, bundle: Bundle) -> tuple[str, ...]:

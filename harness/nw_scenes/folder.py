@@ -500,8 +500,8 @@ def _beside(folder: Path, file: YamlFile, key: str | Location, name: str) -> Pat
     try:
         return inside(folder, name)
     except OutsideError as error:
-        words = f"{'.'.join(map(str, place))}: {name!r} leaves the scene's folder: {error}"
-        raise SceneError([file.problem(place, words, "put the file into the folder")]) from None
+        text = f"{'.'.join(map(str, place))}: {name!r} leaves the scene's folder: {error}"
+        raise SceneError([file.problem(place, text, "put the file into the folder")]) from None
 
 
 def _place_of(

@@ -65,7 +65,7 @@ class Axis:
         unit: of the values; empty for plain numbers.
         step: of which values are whole numbers; None = any number.
         steps: what those are called in messages.
-        nominal: nearest to what robot and scene are without the axis, where `neutral` is None.
+        nominal: default value when the axis has no neutral one (`neutral` is None).
         slider: least value, greatest value and step of the slider in `nw-eval view`; `low`, `high`
             and a hundredth of their distance if None.
         felt_by: what a policy must have to feel it.
@@ -405,8 +405,8 @@ def _faults_of(name: Any, values: Any, *, is_saved: bool) -> Iterator[InitErrorD
     """Yield what is wrong with an axis that is not built in.
 
     Args:
-        name: as the suite has it.
-        values: as above.
+        name: of the axis, as the suite has it.
+        values: of the axis, as the suite has them.
         is_saved: whether its package is installed elsewhere only: any numbers are fine then.
     """
     if not is_saved and not (isinstance(name, str) and is_axis(name)):
@@ -473,7 +473,7 @@ class SweptAxis:
     values: tuple[float, ...]
 
     @classmethod
-    def of(cls, words: str) -> SweptAxis:
+    def of(cls, text: str) -> SweptAxis:
         """Return the axis that words such as `friction=0.3..1.2:7` name.
 
         Values of an axis that has a `step`, such as latencies, are taken to the nearest one.
@@ -482,42 +482,42 @@ class SweptAxis:
             UsageError: there is no such axis, or its values cannot be used.
             PluginError: the package of the axis is broken.
         """
-        name, equals, span = words.partition("=")
+        name, equals, span = text.partition("=")
         if not is_axis(name):
             fix = nearest(name, axis_names())
-            raise UsageError(f"--axis {words!r}: there is no axis {name!r}", fix=fix)
+            raise UsageError(f"--axis {text!r}: there is no axis {name!r}", fix=fix)
         axis = axis_named(name)
         found = _RANGE.fullmatch(span)
         if found is not None:
-            values = _between(float(found[1]), float(found[2]), int(found[3] or STEPS), words)
+            values = _between(float(found[1]), float(found[2]), int(found[3] or STEPS), text)
         elif equals and _LIST.fullmatch(span):
             values = [float(value) for value in span.split(",")]
         else:
             raise UsageError(
-                f"--axis {words!r}: {span!r} is no range of values",
+                f"--axis {text!r}: {span!r} is no range of values",
                 fix=f"write {name}=FROM..TO, {name}=FROM..TO:STEPS or {name}=VALUE,VALUE",
             )
         if axis.step is not None:
             values = [round(axis.nearest_step(value), _DIGITS) for value in values]
         kept = tuple(sorted(set(values)))
         if len(kept) < 2:
-            raise UsageError(f"--axis {words!r} has one value", fix="give two or more")
+            raise UsageError(f"--axis {text!r} has one value", fix="give two or more")
         try:
             Perturb.model_validate({name: kept})
         except ValidationError as error:
             first = error.errors()[0]
             why = explain_limit(first) or first["msg"].lower()
             raise UsageError(
-                f"--axis {words!r}: {first.get('input')!r}: {why}",
+                f"--axis {text!r}: {first.get('input')!r}: {why}",
                 fix=f"give {axis.low:g} to {axis.high:g}",
             ) from None
         return cls(name=name, values=kept)
 
 
-def _between(low: float, high: float, steps: int, words: str) -> list[float]:
+def _between(low: float, high: float, steps: int, text: str) -> list[float]:
     if not 2 <= steps <= MOST_STEPS:
         raise UsageError(
-            f"--axis {words!r} has {plural(steps, 'step')}", fix=f"give 2 to {MOST_STEPS}"
+            f"--axis {text!r} has {plural(steps, 'step')}", fix=f"give 2 to {MOST_STEPS}"
         )
     gap = (high - low) / (steps - 1)
     return [round(low + gap * step, _DIGITS) for step in range(steps)]

@@ -184,8 +184,8 @@ class _Lists:
         firsts = np.cumsum([0, *map(len, lists)], dtype=np.int64)
         return cls(np.concatenate([np.zeros(0, np.int32), *lists]).astype(np.int32), firsts)
 
-    def __getitem__(self, place: int) -> NDArray[np.int32]:
-        return self.numbers[self.firsts[place] : self.firsts[place + 1]]
+    def __getitem__(self, index: int) -> NDArray[np.int32]:
+        return self.numbers[self.firsts[index] : self.firsts[index + 1]]
 
 
 def write_capture(capture: Capture, folder: Path) -> None:
@@ -240,7 +240,7 @@ def read_capture(folder: Path) -> Capture:
         seen = _Lists(numbers, firsts)
         if len(seen.firsts) != len(file.shots) + 1:
             raise ValueError(f"{len(file.shots)} shots, {len(seen.firsts) - 1} lists of points")
-        shots = [_shot(one, seen[place], folder) for place, one in enumerate(file.shots)]
+        shots = [_shot(one, seen[index], folder) for index, one in enumerate(file.shots)]
         return Capture(
             shots=tuple(shots),
             points=points,

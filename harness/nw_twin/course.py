@@ -204,12 +204,12 @@ def _measured(profile: GroundProfile, end: float) -> tuple[str, bool]:
     z, lean = profile.height[:last], np.abs(profile.lean[:last])
     steps = z[_STEP_RUN:] - z[:-_STEP_RUN] if len(z) > _STEP_RUN else np.zeros(1)
     up, down = max(0.0, float(steps.max())), max(0.0, float(-steps.min()))
-    words = (
+    text = (
         f"measured along {end:.1f} m of it: heights from {z.min():+.2f} to {z.max():+.2f} m; "
         f"within {STEP * _STEP_RUN:.2f} m it rises by {up:.2f} m and falls by {down:.2f} m at "
         f"most; it leans by {math.degrees(math.atan(float(lean.max()))):.0f} degrees at most"
     )
-    return words, float(np.ptp(z)) < _EVEN and max(up, down) < _EVEN
+    return text, float(np.ptp(z)) < _EVEN and max(up, down) < _EVEN
 
 
 def _spawn(profile: GroundProfile) -> Spawn:

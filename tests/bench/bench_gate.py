@@ -1,8 +1,8 @@
-"""Judging 10,000 rows against a bank, from the shell: seconds of wall and of processor time.
+"""Judging 10,000 rows against a baseline, from the shell: seconds of wall and of processor time.
 
-No simulator runs: rows and bank are drawn. A suite of 64 scenes in 160 rounds is judged against a
-bank of as many starts, and one of 8 perturbations in 20 rounds against a bank of 60. Then 150, 300
-and 600 scenes of 100 trials: the time of a row is to stay what it is.
+No simulator runs: rows and baseline are drawn. A suite of 64 scenes in 160 rounds is judged against
+a baseline of as many starts, and one of 8 perturbations in 20 rounds against a baseline of 60. Then
+150, 300 and 600 scenes of 100 trials: the time of a row is to stay what it is.
 
     python tests/bench/bench_gate.py
 """
@@ -18,8 +18,8 @@ import numpy as np
 
 from nw_eval.api.saved_run import saved_suite, saved_trials
 from nw_eval.suite import new_suite
-from nw_gate.results.bank import (
-    BankPolicy,
+from nw_gate.results.baseline import (
+    BaselinePolicy,
     BaselineResults,
     Manifest,
     Panel,
@@ -28,7 +28,7 @@ from nw_gate.results.bank import (
     key_of,
     machine_of,
 )
-from nw_gate.results.bank_file import write_bank
+from nw_gate.results.baseline_file import write_baseline
 from nw_gate.results.ended import write_trials
 from nw_gate.results.journal import Journal, JournalHeader
 from nw_gate.results.provenance import (
@@ -49,7 +49,7 @@ FRICTIONS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.25)
 
 
 def provenance(rounds, starts, frictions, scenes=64):
-    """Return run.json of a run of scenes that drew its starts from a bank."""
+    """Return run.json of a run of scenes that drew its starts from a baseline."""
     suite = new_suite(
         {
             "nw-eval": 1,
@@ -121,8 +121,8 @@ def drawn_row(trial, run, reached):
     )
 
 
-def drawn_bank(run, starts, cells, rng):
-    """Return a bank that holds for a run."""
+def drawn_baseline(run, starts, cells, rng):
+    """Return a baseline that holds for a run."""
     kept = []
     for scene in run.scenes:
         for cell in cells:
@@ -145,22 +145,24 @@ def drawn_bank(run, starts, cells, rng):
     machine = machine_of(run)
     info = PanelInfo(machine=machine, saved="2026-11-22T00:00:00Z", by="", rows_digest="ff" * 32)
     manifest = Manifest(
-        name="bank",
+        name="baseline",
         suite="bench",
         starts=starts,
         key=key_of(run),
-        policy=BankPolicy(name="old", card_digest="b1" * 32, checkpoint_digest="bb" * 32),
+        policy=BaselinePolicy(name="old", card_digest="b1" * 32, checkpoint_digest="bb" * 32),
         panels=(info,),
     )
     return BaselineResults(manifest=manifest, panels=(Panel(machine=machine, starts=tuple(kept)),))
 
 
 def write(folder, rounds, starts, frictions, chance, scenes=64):
-    """Write a run and a bank, and return how many rows there are."""
+    """Write a run and a baseline, and return how many rows there are."""
     rng = np.random.default_rng(1)
     run = provenance(rounds, starts, frictions, scenes)
     suite = saved_suite(run)
-    write_bank(folder / "bank.parquet", drawn_bank(run, starts, suite.perturb.cells, rng))
+    write_baseline(
+        folder / "baseline.parquet", drawn_baseline(run, starts, suite.perturb.cells, rng)
+    )
     at = RunFolder(path=folder / "run")
     at.path.mkdir()
     trials = saved_trials(run, suite)
@@ -200,8 +202,8 @@ def main():
             with TemporaryDirectory() as name:
                 folder = Path(name)
                 rows = write(folder, rounds, starts, frictions, chance)
-                bank = str(folder / "bank.parquet")
-                wall, used = seconds("gate", str(folder / "run"), "--baseline", bank)
+                baseline = str(folder / "baseline.parquet")
+                wall, used = seconds("gate", str(folder / "run"), "--baseline", baseline)
             drop = 0.95 - chance
             print(f"{rows:>6} {starts:>6} {drop:>5.2f} {wall:>7.2f} {used:>11.2f}")
             slowest = max(slowest, wall)
@@ -218,8 +220,8 @@ def many():
         with TemporaryDirectory() as name:
             folder = Path(name)
             rows = write(folder, 100, 100, (), 0.95, scenes)
-            run, bank = str(folder / "run"), str(folder / "bank.parquet")
-            for words in (("gate", run), ("gate", run, "--baseline", bank), ("report", run)):
+            run, baseline = str(folder / "run"), str(folder / "baseline.parquet")
+            for words in (("gate", run), ("gate", run, "--baseline", baseline), ("report", run)):
                 wall, used = seconds(*words)
                 verb = "baseline" if len(words) > 2 else words[0]
                 print(

@@ -123,7 +123,7 @@ NOT_RUN = MappingProxyType(
                 "nw-eval plan all-state --baseline go1-parkour",
                 "nw-eval plan hurdles --baseline go1-act-rgb",
             ],
-            "as the line above them, of larger banks; test_trial_plans.py plans from banks",
+            "as the line above them, of larger baselines; test_trial_plans.py plans from baselines",
         ),
         "nw-eval plan hurdles --detect 0.05 --run reports/hurdles": (
             "a run of the whole suite takes minutes; test_trial_plans.py plans from one"

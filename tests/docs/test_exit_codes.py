@@ -10,8 +10,8 @@ import pytest
 
 from nw_eval import api, cli
 from nw_eval.cli.verbs.table import EXIT_CODES as HELP
-from nw_gate.results.bank import Panel
-from nw_gate.results.bank_file import bank_of_run, write_bank
+from nw_gate.results.baseline import Panel
+from nw_gate.results.baseline_file import baseline_of_run, write_baseline
 from nw_gate.verdict import EXIT_CODES
 
 START = Path(__file__).parents[2] / "docs" / "index.md"
@@ -88,18 +88,18 @@ def invalid(_: pytest.MonkeyPatch) -> list[str]:
         trials=6, gate="gate: {success_rate: 0.5, max_drop: 0.1, rounds: 2, least_starts: 1}"
     )
     kept = api.run(suite, out=Path("kept"))
-    bank = bank_of_run(kept.rows, kept.info, name="stand", card="stand")
+    baseline = baseline_of_run(kept.rows, kept.info, name="stand", card="stand")
     # As if standing had got there, by the same bits, on some other machine.
     there = {"success": 1.0, "completed": True, "outcome": "completed"}
-    machine = {**bank.panels[0].machine, "cpu": "elsewhere"}
+    machine = {**baseline.panels[0].machine, "cpu": "elsewhere"}
     starts = tuple(
         replace(start, waypoints_reached=start.waypoints_total, **there)
-        for start in bank.panels[0].starts
+        for start in baseline.panels[0].starts
     )
-    info = bank.manifest.panels[0].model_copy(update={"machine": machine})
-    manifest = bank.manifest.model_copy(update={"panels": (info,)})
-    forged = replace(bank, manifest=manifest, panels=(Panel(machine=machine, starts=starts),))
-    write_bank(Path("stand.parquet"), forged)
+    info = baseline.manifest.panels[0].model_copy(update={"machine": machine})
+    manifest = baseline.manifest.model_copy(update={"panels": (info,)})
+    forged = replace(baseline, manifest=manifest, panels=(Panel(machine=machine, starts=starts),))
+    write_baseline(Path("stand.parquet"), forged)
     compared = ["--policy", "go1-parkour", "--baseline", "stand.parquet"]
     return ["run", suite, *compared, "--out", "run"]
 

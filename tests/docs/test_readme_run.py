@@ -9,8 +9,8 @@ import pytest
 
 from nw_eval import cli
 from nw_eval.suite import load_suite
-from nw_gate.results.bank import bank_mean, mean_of
-from nw_gate.results.bank_file import find_bank, read_bank
+from nw_gate.results.baseline import baseline_mean, mean_of
+from nw_gate.results.baseline_file import find_baseline, read_baseline
 
 ROOT = Path(__file__).parents[2]
 START = ROOT / "docs" / "index.md"
@@ -32,15 +32,19 @@ def timeless(text: str) -> str:
 
 def test_the_verdict_of_make_run_is_of_the_committed_baseline() -> None:
     text = timeless(shown(START, "PASS"))
-    bank, gate = read_bank(find_bank("go1-act-rgb", suite="hurdles")), load_suite("hurdles").gate
-    starts = [start for cell in bank.panels[0].by_stratum.values() for start in cell]
+    baseline, gate = (
+        read_baseline(find_baseline("go1-act-rgb", suite="hurdles")),
+        load_suite("hurdles").gate,
+    )
+    starts = [start for cell in baseline.panels[0].by_stratum.values() for start in cell]
     completed = sum(start.completed for start in starts)
-    assert f"success {bank_mean(bank):.3f} (bar {gate.success_rate:g})" in text
+    assert f"success {baseline_mean(baseline):.3f} (bar {gate.success_rate:g})" in text
     assert (
-        f"completed {completed} of {len(starts)} trials in {len(bank.manifest.key.scenes)}" in text
+        f"completed {completed} of {len(starts)} trials in {len(baseline.manifest.key.scenes)}"
+        in text
     )
     (worst,) = re.findall(r"below the bar by itself: (\S+) completed .*? success (\d\.\d+)", text)
-    means = {scene: mean_of(found) for (scene, _), found in bank.panels[0].by_stratum.items()}
+    means = {scene: mean_of(found) for (scene, _), found in baseline.panels[0].by_stratum.items()}
     below = {scene: f"{mean:.3f}" for scene, mean in means.items() if mean < gate.success_rate}
     assert below == {worst[0]: worst[1]}
 

@@ -718,8 +718,8 @@ def _parquet(folder):
     _check_rows(read_rows(folder / "trials.parquet")[0])
 
 
-def _bank_seeds(_folder):
-    """A bank before it is sealed, as text: what a stranger who can seal may have written."""
+def _baseline_seeds(_folder):
+    """A baseline before it is sealed, as text: what a stranger who can seal may have written."""
     manifest = {
         "bank": 1, "name": "gift", "suite": "hurdles", "note": "a gift", "starts": 2,
         "key": {"suite_digest": "aa" * 32, "seed": 7, "protocol": "strict",
@@ -735,23 +735,23 @@ def _bank_seeds(_folder):
         "outcome": ["completed", "fell"], "end_reason": ["last waypoint", "roll"],
         "trajectory": ["0123456789abcdef", "fedcba9876543210"],
     }  # fmt: skip
-    return [{"bank.json": json.dumps([manifest, starts]).encode()}]
+    return [{"baseline.json": json.dumps([manifest, starts]).encode()}]
 
 
-def _bank(folder):
+def _baseline(folder):
     """Read it as its file would be read, once its sum is right."""
     from nw_base.errors import StoreError
-    from nw_gate.results.bank_file import bank_of
+    from nw_gate.results.baseline_file import baseline_of
     from nw_gate.results.tables import PlainTable
 
     try:
-        manifest, starts = json.loads((folder / "bank.json").read_bytes())
+        manifest, starts = json.loads((folder / "baseline.json").read_bytes())
         lines = list(zip(*starts.values(), strict=True))
         columns = {name: [line[place] for line in lines] for place, name in enumerate(starts)}
         table = PlainTable(metadata={"bank": json.dumps(manifest)}, columns=columns)
     except (ValueError, TypeError, AttributeError, RecursionError) as error:
-        raise StoreError("bank.json is not a table at all") from error
-    bank_of(table, folder / "gift.parquet")
+        raise StoreError("baseline.json is not a table at all") from error
+    baseline_of(table, folder / "gift.parquet")
 
 
 def _wire_seeds(_folder):
@@ -868,7 +868,7 @@ _ALL = (
     Target(name="store", seeds=_store_seeds, read=_store),
     Target(name="journal", seeds=_journal_seeds, read=_journal),
     Target(name="parquet", seeds=_parquet_seeds, read=_parquet),
-    Target(name="bank", seeds=_bank_seeds, read=_bank),
+    Target(name="baseline", seeds=_baseline_seeds, read=_baseline),
     Target(
         name="run",
         seeds=lambda folder: [_run_seeds(folder)[0]],

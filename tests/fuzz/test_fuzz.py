@@ -18,7 +18,7 @@ HERE = Path(__file__).parent
 INPUTS = {
     "suite": 30, "card": 40, "onnx": 40, "tensors": 75,
     "inspect": 40, "scene": 12, "published": 30, "mesh": 60, "splat": 50, "cameras": 50,
-    "store": 75, "journal": 75, "parquet": 50, "bank": 50, "run": 40, "mcap": 30, "remote": 50,
+    "store": 75, "journal": 75, "parquet": 50, "baseline": 50, "run": 40, "mcap": 30, "remote": 50,
     "elevation": 60, "robot": 30, "robot log": 40,
 }  # fmt: skip
 FACTOR = float(os.environ.get("NW_EVAL_FUZZ", "0.25"))

@@ -103,10 +103,10 @@ def page_of(words: str, run_scene: Callable[..., Any], **changes: Any) -> str:
     for place in found.words:
         word, interval = DROPS[words[place]]
         against = Comparison(
-            word=word, bank="good", policy="p", basis="panel", claim="fresh", trials=2, budget=4,
-            starts=60, baseline=0.95, drop=0.05, interval=interval, mean_regressed=word[0] == "R",
-            false_alarm=0.01, max_drop=0.1, tolerate=0.02, scene_drop=0.1, alpha_pass=0.05,
-            alpha_regr=0.01, scenes=(), reasons=(),
+            word=word, baseline_name="good", policy="p", basis="panel", claim="fresh", trials=2,
+            budget=4, starts=60, baseline=0.95, drop=0.05, interval=interval,
+            mean_regressed=word[0] == "R", false_alarm=0.01, max_drop=0.1, tolerate=0.02,
+            scene_drop=0.1, alpha_pass=0.05, alpha_regr=0.01, scenes=(), reasons=(),
         )  # fmt: skip
         runs[place] = RunReport(
             folder=Path(),
@@ -127,7 +127,9 @@ def page_of(words: str, run_scene: Callable[..., Any], **changes: Any) -> str:
         )
     names = tuple(f"step-{place}" for place in range(len(words)))
     return series_page(
-        BisectedSeries(bank="good", checkpoints=names, runs=runs, found=found, folder=Path("out"))
+        BisectedSeries(
+            baseline="good", checkpoints=names, runs=runs, found=found, folder=Path("out")
+        )
     )
 
 

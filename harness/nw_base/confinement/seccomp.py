@@ -276,9 +276,9 @@ def _judged(name: str, *, process: int, opens_to_write: bool) -> list[Instructio
     return [*steps, allow]
 
 
-def _load(place: int) -> Instruction:
-    """Return what loads the lower half of an argument."""
-    return Instruction(_LOAD, _ARGUMENTS + 8 * place)
+def _load(index: int) -> Instruction:
+    """Return the instruction that loads the lower half of an argument."""
+    return Instruction(_LOAD, _ARGUMENTS + 8 * index)
 
 
 def _fail(number: int) -> Instruction:

@@ -1,4 +1,4 @@
-"""Where the suites, policies and banks that come with nw-eval lie: in the wheel or the checkout."""
+"""Where the suites, policies and baselines of nw-eval lie: in the wheel or the checkout."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Kind = Literal["suites", "policies"]
 
 
 def shipped(kind: Kind | Literal["baselines"]) -> Path:
-    """Return the folder of the shipped suites, policies, or banks of baselines.
+    """Return the folder of the shipped suites, policies, or baselines.
 
     An installed wheel carries them as `nw_eval/data/<kind>`. An editable install has no such
     folder: there they are `<kind>/` at the root of the checkout, and the baselines where every

@@ -52,7 +52,7 @@ class AttributionPlan:
     tries: int
     """In each trial, at most."""
     minutes: float
-    """Of wall time, about, at most; reckoned from what the run's own trials took."""
+    """Of wall time, about, at most; computed from what the run's own trials took."""
     workers: int
 
 
@@ -208,19 +208,19 @@ def baseline_bundle(
         PolicyError: the policy cannot be loaded.
     """
     from nw_base.errors import IncomparableError, PolicyError, UsageError
-    from nw_gate.results.bank_file import find_bank, read_bank
+    from nw_gate.results.baseline_file import find_baseline, read_baseline
     from nw_policies import find_card, load_bundle
 
     try:
-        bank = read_bank(find_bank(baseline, suite=str(info.suite.get("name", ""))))
+        saved = read_baseline(find_baseline(baseline, suite=str(info.suite.get("name", ""))))
     except UsageError as error:
-        no_bank = error
+        no_baseline = error
     else:
-        own = bank.manifest.policy
+        own = saved.manifest.policy
         bundle = load_bundle(find_card(policy or own.card or own.name), checkpoint=checkpoint)
         if (bundle.checkpoint_digest, bundle.digest) != (own.checkpoint_digest, own.card_digest):
             raise IncomparableError(
-                f"baseline {bank.manifest.name} was saved with {own.name} "
+                f"baseline {saved.manifest.name} was saved with {own.name} "
                 f"({own.checkpoint_digest[:8]}), and {bundle.where} differs "
                 f"({bundle.checkpoint_digest[:8]})",
                 fix="say where it lies with --policy and --checkpoint, or name the policy itself "
@@ -228,8 +228,8 @@ def baseline_bundle(
             )
         return bundle
     if policy is not None:
-        raise no_bank
+        raise no_baseline
     try:
         return load_bundle(find_card(baseline), checkpoint=checkpoint)
     except PolicyError as error:
-        raise UsageError(f"{no_bank.message}, and no policy: {error.message}") from None
+        raise UsageError(f"{no_baseline.message}, and no policy: {error.message}") from None

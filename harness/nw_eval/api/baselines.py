@@ -1,4 +1,4 @@
-"""Baselines: banks that there are, what they hold, and whether they still hold here and now.
+"""Baselines: which exist, what they contain, and whether they still match this machine.
 
 Listing, showing and comparing them imports no simulator.
 """
@@ -15,10 +15,10 @@ from nw_eval.engine.how import How
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
-    from nw_gate.results.bank import (
-        BankKey,
-        BankPolicy,
+    from nw_gate.results.baseline import (
         BaselineChange,
+        BaselineKey,
+        BaselinePolicy,
         BaselineResults,
         FieldChange,
     )
@@ -35,7 +35,7 @@ class ListedBaseline:
     suite: str
     """The folder that it lies in."""
     name: str
-    bank: BaselineResults | None = None
+    baseline: BaselineResults | None = None
     mean: float | None = None
     """Mean success over scenes."""
     problem: str | None = None
@@ -47,15 +47,15 @@ class ShownBaseline:
     """One baseline, and where it lies."""
 
     file: Path
-    bank: BaselineResults
+    baseline: BaselineResults
 
 
 def list_baselines() -> tuple[ListedBaseline, ...]:
-    """Return the project's banks, those of `reports/baselines`, and then the shipped ones."""
-    from nw_gate.results.bank_file import bank_files
+    """Return the project's baselines, those of `reports/baselines`, and then the shipped ones."""
+    from nw_gate.results.baseline_file import baseline_files
 
     with ThreadPoolExecutor(_READERS) as readers:
-        return tuple(readers.map(_listed, bank_files()))
+        return tuple(readers.map(_listed, baseline_files()))
 
 
 def show_baseline(baseline: str | Path, *, suite: str | None = None) -> ShownBaseline:
@@ -70,16 +70,16 @@ def show_baseline(baseline: str | Path, *, suite: str | None = None) -> ShownBas
         StoreError: it is damaged.
         IncomparableError: it is no baseline that anything can be compared with.
     """
-    from nw_gate.results.bank_file import find_any, read_bank
+    from nw_gate.results.baseline_file import find_any, read_baseline
 
     file = find_any(baseline, suite=suite)
-    return ShownBaseline(file=file, bank=read_bank(file))
+    return ShownBaseline(file=file, baseline=read_baseline(file))
 
 
 def diff_baselines(
     then: str | Path, now: str | Path, *, suite: str | None = None
 ) -> BaselineChange:
-    """Compare two banks: what they hold for, and what happened from their starts, by scene.
+    """Compare two baselines: what they hold for, and what happened from their starts, by scene.
 
     Args:
         then: the earlier baseline: a name, `<suite>/<name>`, or a path.
@@ -89,34 +89,36 @@ def diff_baselines(
     Raises:
         UsageError, StoreError, IncomparableError: as `show_baseline`.
     """
-    from nw_gate.results.bank import bank_change
+    from nw_gate.results.baseline import baseline_change
 
-    banks = [show_baseline(each, suite=suite).bank for each in (then, now)]
-    return bank_change(*banks)
+    baselines = [show_baseline(each, suite=suite).baseline for each in (then, now)]
+    return baseline_change(*baselines)
 
 
 def _listed(file: Path) -> ListedBaseline:
-    from nw_gate.results.bank import bank_mean
-    from nw_gate.results.bank_file import read_bank
+    from nw_gate.results.baseline import baseline_mean
+    from nw_gate.results.baseline_file import read_baseline
 
     suite, name = file.parent.name, file.stem
     try:
-        bank = read_bank(file)
+        baseline = read_baseline(file)
     except NwEvalError as error:
         return ListedBaseline(file=file, suite=suite, name=name, problem=str(error))
-    return ListedBaseline(file=file, suite=suite, name=name, bank=bank, mean=bank_mean(bank))
+    return ListedBaseline(
+        file=file, suite=suite, name=name, baseline=baseline, mean=baseline_mean(baseline)
+    )
 
 
 _REPORTS = Path("reports")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Here:
+class BaselineTarget:
     """A suite and a policy on this machine, with this nw-eval."""
 
     plan: Plan
-    key: BankKey
-    policy: BankPolicy
+    key: BaselineKey
+    policy: BaselinePolicy
     machine: dict[str, str]
 
     @property
@@ -130,24 +132,24 @@ class Here:
         digest = digest_of([key, dict(header.scene_digests), dict(header.engine)])
         return _REPORTS / f"bank-{self.plan.suite.name}-{digest[:8]}"
 
-    def is_in(self, bank: BaselineResults, starts: int) -> bool:
+    def is_in(self, baseline: BaselineResults, starts: int) -> bool:
         """Whether a baseline has all of it, so that nothing need be run."""
-        from nw_gate.results.bank import key_changes, policy_changes
+        from nw_gate.results.baseline import key_changes, policy_changes
 
         return (
-            bank.manifest.starts == starts
-            and not key_changes(bank.manifest.key, self.key)
-            and not policy_changes(bank.manifest.policy, self.policy)
-            and bank.panel_of(self.machine) is not None
+            baseline.manifest.starts == starts
+            and not key_changes(baseline.manifest.key, self.key)
+            and not policy_changes(baseline.manifest.policy, self.policy)
+            and baseline.panel_of(self.machine) is not None
         )
 
-    def held_out(self) -> Here:
+    def held_out(self) -> BaselineTarget:
         """Return the same with starts of a seed set of its own, by its policy and the suite."""
         from nw_eval.engine.identity import policy_info
         from nw_eval.engine.provenance import run_info
         from nw_eval.suite import expand, override
         from nw_gate.baseline.match import fresh_seed
-        from nw_gate.results.bank import key_of
+        from nw_gate.results.baseline import key_of
         from nw_gate.results.request import Request
         from nw_gate.results.run_folder import RunFolder
 
@@ -158,7 +160,7 @@ class Here:
         run = run_info(plan, RunFolder(path=Path(suite.name)), How())
         return replace(self, plan=plan, key=key_of(run))
 
-    def with_starts(self, starts: int) -> Here:
+    def with_starts(self, starts: int) -> BaselineTarget:
         """Return the same with another number of starts.
 
         Raises:
@@ -172,7 +174,7 @@ class Here:
         return replace(self, plan=replace(self.plan, suite=suite, trials=trials))
 
 
-def here(suite: str | Path, *, policy: str | None, **changes: Any) -> Here:
+def baseline_target(suite: str | Path, *, policy: str | None, **changes: Any) -> BaselineTarget:
     """Return what a baseline of a suite would be.
 
     Args:
@@ -186,7 +188,7 @@ def here(suite: str | Path, *, policy: str | None, **changes: Any) -> Here:
     from nw_eval.api.plans import plan as plan_of
     from nw_eval.engine.provenance import run_info
     from nw_eval.suite import load_suite
-    from nw_gate.results.bank import BankPolicy, key_of, machine_of
+    from nw_gate.results.baseline import BaselinePolicy, key_of, machine_of
     from nw_gate.results.run_folder import RunFolder
 
     read = load_suite(suite)
@@ -195,10 +197,10 @@ def here(suite: str | Path, *, policy: str | None, **changes: Any) -> Here:
     alone = read.model_copy(update={"gate": gate})
     plan = plan_of(alone, policy=policy, record="none", **changes)
     run = run_info(plan, RunFolder(path=Path(read.name)), How())
-    return Here(
+    return BaselineTarget(
         plan=plan,
         key=key_of(run),
-        policy=BankPolicy(
+        policy=BaselinePolicy(
             name=plan.bundle.name,
             card_digest=run.policy.card_digest,
             checkpoint_digest=run.policy.checkpoint_digest,
@@ -236,7 +238,7 @@ class CheckedBaseline:
     """A baseline against what it would be here and now."""
 
     file: Path
-    bank: BaselineResults
+    baseline: BaselineResults
     changes: tuple[FieldChange, ...]
     """What must match and does not; none of it, and the baseline holds."""
     has_panel: bool
@@ -278,27 +280,33 @@ def check_baseline(
         IncomparableError: it is no baseline that anything can be compared with.
     """
     from nw_eval.suite import load_suite
-    from nw_gate.results.bank import key_changes, machine_changes, policy_changes
+    from nw_gate.results.baseline import key_changes, machine_changes, policy_changes
 
     named = None if suite is None else load_suite(suite).name
     shown = show_baseline(baseline, suite=named)
-    bank, wanted = shown.bank, str(suite or shown.bank.manifest.suite)
-    own, unchecked = bank.manifest.policy, None
+    saved, wanted = shown.baseline, str(suite or shown.baseline.manifest.suite)
+    own, unchecked = saved.manifest.policy, None
     try:
-        place: Here = here(wanted, policy=policy or own.card or own.name, **changes)
-        place = place.held_out() if bank.manifest.held_out else place
-        moved = policy_changes(own, place.policy)
+        target: BaselineTarget = baseline_target(
+            wanted, policy=policy or own.card or own.name, **changes
+        )
+        target = target.held_out() if saved.manifest.held_out else target
+        moved = policy_changes(own, target.policy)
     except PolicyError as error:
         if policy is not None:
             raise
-        place, moved, unchecked = here(wanted, policy=None, **changes), (), error.message
-    has_panel = bank.panel_of(place.machine) is not None
+        target, moved, unchecked = (
+            baseline_target(wanted, policy=None, **changes),
+            (),
+            error.message,
+        )
+    has_panel = saved.panel_of(target.machine) is not None
     return CheckedBaseline(
         file=shown.file,
-        bank=bank,
-        changes=(*key_changes(bank.manifest.key, place.key), *moved),
+        baseline=saved,
+        changes=(*key_changes(saved.manifest.key, target.key), *moved),
         has_panel=has_panel,
-        machine=() if has_panel else machine_changes(bank.panels[0].machine, place.machine),
+        machine=() if has_panel else machine_changes(saved.panels[0].machine, target.machine),
         unchecked=unchecked,
         suite=wanted,
         policy=policy or own.typed,

@@ -21,8 +21,8 @@ from nw_eval.engine.how import How
 if TYPE_CHECKING:
     from os import PathLike
 
-    from nw_eval.api.baselines import Here
-    from nw_gate.results.bank import BaselineChange, BaselineResults
+    from nw_eval.api.baselines import BaselineTarget
+    from nw_gate.results.baseline import BaselineChange, BaselineResults
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
 
@@ -39,7 +39,7 @@ class SavedBaseline:
     """new: there was none. panel: it has this machine type now, too. unchanged: it had all of
     this. renewed: it was replaced. kept: it would hold for something else, or say something else,
     and is unchanged, because no renewal was asked for."""
-    bank: BaselineResults
+    baseline: BaselineResults
     """The baseline that is there now; for `kept` the one that would be."""
     change: BaselineChange | None = None
     """What differs from the one that was there."""
@@ -87,24 +87,24 @@ def save_baseline(
     Raises:
         UsageError, SuiteError, PolicyError: nothing was run.
         KeyboardInterrupt: it was interrupted; the trials that have ended are kept.
-        TrialError: a trial came to no result, or to another one than the cache says; no baseline
+        TrialError: a trial produced no result, or another one than the cache has; no baseline
             was written.
         StoreError: results cannot be written, or the baseline that is there is damaged.
         IncomparableError: the run makes no baseline.
     """
-    from nw_eval.api.baselines import card_reference, here
+    from nw_eval.api.baselines import baseline_target, card_reference
     from nw_eval.suite import load_suite
-    from nw_gate.results.bank_file import bank_of_run
+    from nw_gate.results.baseline_file import baseline_of_run
 
     root = as_path(root)
     if trials is not None and trials < 1:
         raise UsageError(f"--trials {trials} is too low", fix="give at least 1")
     how = How.taken_from(changes, "workers", "cache", "listener")
-    place, info, rows = None, None, ()
+    target, info, rows = None, None, ()
     if run is None:
-        place = here(suite, policy=policy, **changes)
-        place = place.held_out() if held_out else place
-        folder, own = place.plan.suite.name, place.policy.name
+        target = baseline_target(suite, policy=policy, **changes)
+        target = target.held_out() if held_out else target
+        folder, own = target.plan.suite.name, target.policy.name
     else:
         asked = {"policy": policy, "trials": trials, "held_out": held_out, "workers": how.workers}
         _check_decided({**asked, **changes})
@@ -113,15 +113,15 @@ def save_baseline(
         own = info.policy.name
     file = _file(root, folder, name or own)
     earlier = _earlier(file, renew=renew)
-    if place is not None:
-        scenes = len(place.plan.scenes) * len(place.plan.suite.perturb.cells)
+    if target is not None:
+        scenes = len(target.plan.scenes) * len(target.plan.suite.perturb.cells)
         starts = trials or (earlier.manifest.starts if earlier else starts_for(scenes))
-        if earlier is not None and not renew and place.is_in(earlier, starts):
-            return SavedBaseline(file=file, action="unchanged", bank=earlier)
-        info, rows = _new_results(place.with_starts(starts), how)
+        if earlier is not None and not renew and target.is_in(earlier, starts):
+            return SavedBaseline(file=file, action="unchanged", baseline=earlier)
+        info, rows = _new_results(target.with_starts(starts), how)
     assert info is not None, "results are of a run, new or finished"
     _check_seen(rows, info)
-    found = bank_of_run(
+    found = baseline_of_run(
         rows,
         info,
         name=file.stem,
@@ -130,7 +130,7 @@ def save_baseline(
         note=note or (earlier.manifest.note if earlier else ""),
         held_out=held_out,
     )
-    ran = Path(run) if run is not None else place.work if place is not None else None
+    ran = Path(run) if run is not None else target.work if target is not None else None
     return replace(
         _written(file, earlier, found, renew=renew),
         run=ran,
@@ -173,11 +173,11 @@ def _file(root: Path | None, suite: str, name: str) -> Path:
     Raises:
         UsageError: its name is none.
     """
-    from nw_gate.results.bank_file import BANKS, SUFFIX, fault_of_name
+    from nw_gate.results.baseline_file import BASELINES_FOLDER, SUFFIX, fault_of_name
 
     if fault := fault_of_name(name):
         raise UsageError(f"a baseline's name: {fault}", fix="give another with --name")
-    return (root or BANKS) / suite / (name + SUFFIX)
+    return (root or BASELINES_FOLDER) / suite / (name + SUFFIX)
 
 
 def _earlier(file: Path, *, renew: bool) -> BaselineResults | None:
@@ -186,10 +186,10 @@ def _earlier(file: Path, *, renew: bool) -> BaselineResults | None:
     Raises:
         StoreError, IncomparableError: it cannot be read, and is not to be replaced.
     """
-    from nw_gate.results.bank_file import read_bank
+    from nw_gate.results.baseline_file import read_baseline
 
     try:
-        return read_bank(file) if file.exists() else None
+        return read_baseline(file) if file.exists() else None
     except (StoreError, IncomparableError):
         if not renew:
             raise
@@ -206,27 +206,27 @@ def _written(
 ) -> SavedBaseline:
     """Write a baseline unless it would silently become another one."""
     from nw_base.files.cache import followed
-    from nw_gate.results.bank import bank_change
-    from nw_gate.results.bank_file import with_panel, write_bank
+    from nw_gate.results.baseline import baseline_change
+    from nw_gate.results.baseline_file import with_panel, write_baseline
 
     if earlier is None:
-        write_bank(followed(file), found)
-        return SavedBaseline(file=file, action="new", bank=found)
-    change = bank_change(earlier, found)
+        write_baseline(followed(file), found)
+        return SavedBaseline(file=file, action="new", baseline=found)
+    change = baseline_change(earlier, found)
     known = earlier.panel_of(found.panels[0].machine)
     if not change.fields and known == found.panels[0]:
-        return SavedBaseline(file=file, action="unchanged", bank=earlier)
+        return SavedBaseline(file=file, action="unchanged", baseline=earlier)
     if not renew and not change.fields and known is None:
         whole = with_panel(earlier, found)
-        write_bank(followed(file), whole)
-        return SavedBaseline(file=file, action="panel", bank=whole, change=change)
+        write_baseline(followed(file), whole)
+        return SavedBaseline(file=file, action="panel", baseline=whole, change=change)
     if not renew:
-        return SavedBaseline(file=file, action="kept", bank=found, change=change)
-    write_bank(followed(file), found)
-    return SavedBaseline(file=file, action="renewed", bank=found, change=change)
+        return SavedBaseline(file=file, action="kept", baseline=found, change=change)
+    write_baseline(followed(file), found)
+    return SavedBaseline(file=file, action="renewed", baseline=found, change=change)
 
 
-def _new_results(place: Here, how: How) -> tuple[RunInfo, tuple[Row, ...]]:
+def _new_results(target: BaselineTarget, how: How) -> tuple[RunInfo, tuple[Row, ...]]:
     """Run what has no result yet, and say first how much that is, and after Ctrl-C how to go on.
 
     Raises:
@@ -240,57 +240,57 @@ def _new_results(place: Here, how: How) -> tuple[RunInfo, tuple[Row, ...]]:
     from nw_gate.results.provenance import read_run_info
     from nw_gate.results.run_folder import RunFolder
 
-    how.told.message(_ahead(place, workers=how.workers))
-    work = RunFolder(path=place.work)
+    how.told.message(_estimate_message(target, workers=how.workers))
+    work = RunFolder(path=target.work)
     is_begun = has_begun(work.journal)
     try:
         folder = session.carry_out(
-            place.plan,
+            target.plan,
             how,
             out=None if is_begun else work.path,
             resume=work.path if is_begun else None,
         )
     except KeyboardInterrupt:  # Before the trials, or while they were stopped.
-        how.told.message(_onwards(place))
+        how.told.message(_resume_message(target))
         raise
     run = read_run_info(folder.run_json)
     if run.cache is not None and run.cache.differing:
         raise TrialError(run.cache.differing[0], fix=f"remove {work.path}, and save again")
-    rows = read_trials(folder, run, place.plan.trials).rows
-    if run.interrupted and len(rows) < len(place.plan.trials):
-        how.told.message(_onwards(place))
+    rows = read_trials(folder, run, target.plan.trials).rows
+    if run.interrupted and len(rows) < len(target.plan.trials):
+        how.told.message(_resume_message(target))
         raise KeyboardInterrupt
     return run, rows
 
 
-def _ahead(place: Here, *, workers: int | None) -> str:
+def _estimate_message(target: BaselineTarget, *, workers: int | None) -> str:
     """Return how many trials a save runs at most, and how long they take at most."""
     from nw_eval.engine.machine import worker_count
     from nw_eval.engine.plan import minutes_of
 
-    total = len(place.plan.trials)
-    left = total - _kept(place)
+    total = len(target.plan.trials)
+    left = total - _kept_trials(target)
     if not left:
         return f"all {total} trials have results already"
     trials = f"{left} of {total} trials" if left < total else plural(total, "trial")
-    minutes = minutes_of(left, place.plan, workers=workers)
+    minutes = minutes_of(left, target.plan, workers=workers)
     return (
         f"{trials} to run: about {minutes:.1f} minutes with --workers "
         f"{worker_count(workers, left)}; Ctrl-C keeps finished trials; the same command resumes"
     )
 
 
-def _onwards(place: Here) -> str:
+def _resume_message(target: BaselineTarget) -> str:
     """Return how a save that was interrupted goes on."""
-    kept = _kept(place)
+    kept = _kept_trials(target)
     if not kept:
         return "no trial has ended yet; the same command begins again"
     return (
-        f"{kept} of {len(place.plan.trials)} trials are kept; run the same command again to resume"
+        f"{kept} of {len(target.plan.trials)} trials are kept; run the same command again to resume"
     )
 
 
-def _kept(place: Here) -> int:
+def _kept_trials(target: BaselineTarget) -> int:
     """Return how many trials of a save have a result in its work folder.
 
     Raises:
@@ -299,10 +299,10 @@ def _kept(place: Here) -> int:
     from nw_gate.results.journal import has_begun, read_journal
     from nw_gate.results.run_folder import RunFolder
 
-    journal = RunFolder(path=place.work).journal
+    journal = RunFolder(path=target.work).journal
     if not has_begun(journal):
         return 0
-    planned = {trial.id for trial in place.plan.trials}
+    planned = {trial.id for trial in target.plan.trials}
     rows = read_journal(journal).rows
     return sum(row.trial_id in planned and row.status == "ok" for row in rows)
 

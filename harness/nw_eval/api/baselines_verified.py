@@ -15,8 +15,8 @@ from nw_eval.engine.how import How
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from nw_eval.api.baselines import Here
-    from nw_gate.results.bank import BaselineResults
+    from nw_eval.api.baselines import BaselineTarget
+    from nw_gate.results.baseline import BaselineResults
     from nw_gate.results.row import Row
 
 SHARE = "10%"
@@ -25,28 +25,28 @@ SHARE = "10%"
 
 @dataclass(frozen=True, kw_only=True)
 class VerifiedBaseline:
-    """What starts of a baseline came to when its own policy ran them again."""
+    """The results of re-running initial states of a baseline with its own policy."""
 
     file: Path
-    bank: BaselineResults
+    baseline: BaselineResults
     seed: int
     """Drew the starts: an int of 48 bits."""
     drawn: int
     """How many were drawn."""
     ran: int
-    """How many came to a result."""
+    """How many have a result."""
     has_panel: bool
     """Whether the baseline has been run on this machine type, so that bits must be equal."""
     differing: tuple[str, ...]
     """A sentence for each row that is not as the baseline says, with both values."""
     faults: tuple[str, ...]
-    """Trials that came to no result now, and why."""
+    """Trials that had no result this time, and why."""
     interrupted: bool = False
     """Whether a signal ended it before its last trial."""
 
     @property
     def exit_code(self) -> int:
-        """0 all equal, 5 some differ, 4 a trial came to no result and none differs."""
+        """0 all equal, 5 some differ, 4 a trial produced no result and none differs."""
         if self.differing:
             return IncomparableError.exit_code
         return TrialError.exit_code if self.faults or self.ran < self.drawn else 0
@@ -78,12 +78,12 @@ def verify_baseline(
             workers, listener.
 
     Raises:
-        UsageError: there is no such baseline or suite, or `trials` is of no use.
+        UsageError: there is no such baseline or suite, or `trials` is invalid.
         SuiteError, PolicyError: the suite, or the baseline's policy, cannot be used.
         StoreError: the baseline is damaged.
         IncomparableError: it does not hold here, or its policy is another one.
     """
-    from nw_eval.api.baselines import here, show_baseline
+    from nw_eval.api.baselines import baseline_target, show_baseline
     from nw_eval.engine.order import check_sample, draw, unforeseen_seed
     from nw_eval.suite import load_suite
 
@@ -91,26 +91,26 @@ def verify_baseline(
     sample = SHARE if trials is None else str(trials)
     check_sample(sample)
     shown = show_baseline(baseline, suite=None if suite is None else load_suite(suite).name)
-    bank, own = shown.bank, shown.bank.manifest.policy
+    saved, own = shown.baseline, shown.baseline.manifest.policy
     if policy is None and _is_here(own.card or own.name):
         policy = own.card or own.name
     # Else the suite's own policy is taken: whether it is the baseline's, its digests tell.
-    place = here(suite or bank.manifest.suite, policy=policy, **changes)
-    place = place.held_out() if bank.manifest.held_out else place
-    place = place.with_starts(bank.manifest.starts)
-    _check(bank, place)
+    target = baseline_target(suite or saved.manifest.suite, policy=policy, **changes)
+    target = target.held_out() if saved.manifest.held_out else target
+    target = target.with_starts(saved.manifest.starts)
+    _check(saved, target)
     seed = unforeseen_seed() if seed is None else seed
-    names = draw([trial.id for trial in place.plan.trials], sample, seed)
-    rows, interrupted = _run(place, names, how)
+    names = draw([trial.id for trial in target.plan.trials], sample, seed)
+    rows, interrupted = _run(target, names, how)
     done = [row for row in rows if row.status == "ok"]
     return VerifiedBaseline(
         file=shown.file,
-        bank=bank,
+        baseline=saved,
         seed=seed,
         drawn=len(names),
         ran=len(done),
-        has_panel=bank.panel_of(place.machine) is not None,
-        differing=_differing(done, bank, place.machine),
+        has_panel=saved.panel_of(target.machine) is not None,
+        differing=_differing(done, saved, target.machine),
         faults=tuple(
             f"{row.trial_id}: {row.error_type}: {row.error_text}"
             for row in rows
@@ -120,40 +120,40 @@ def verify_baseline(
     )
 
 
-def _check(bank: BaselineResults, place: Here) -> None:
+def _check(baseline: BaselineResults, target: BaselineTarget) -> None:
     """Refuse a baseline of something else.
 
     Raises:
         IncomparableError: suite, scenes, simulator or policy are others.
     """
-    from nw_gate.results.bank import key_changes, policy_changes
+    from nw_gate.results.baseline import key_changes, policy_changes
 
     changes = (
-        *key_changes(bank.manifest.key, place.key),
-        *policy_changes(bank.manifest.policy, place.policy),
+        *key_changes(baseline.manifest.key, target.key),
+        *policy_changes(baseline.manifest.policy, target.policy),
     )
     if changes:
         named = ", ".join(f"{each.part} {each.name} {each.then} -> {each.now}" for each in changes)
         raise IncomparableError(
-            f"baseline {bank.manifest.name} cannot be verified here: {named}",
+            f"baseline {baseline.manifest.name} cannot be verified here: {named}",
             fix="name its suite with --suite and its policy with --policy, or renew it",
         )
 
 
-def _run(place: Here, names: Sequence[str], how: How) -> tuple[tuple[Row, ...], bool]:
+def _run(target: BaselineTarget, names: Sequence[str], how: How) -> tuple[tuple[Row, ...], bool]:
     """Run some trials of a baseline in a folder of their own; return rows, and if it was cut."""
     from nw_eval.engine import session
     from nw_gate.results.journal import read_journal
     from nw_gate.results.provenance import read_run_info
 
     chosen = set(names)
-    trials = tuple(trial for trial in place.plan.trials if trial.id in chosen)
+    trials = tuple(trial for trial in target.plan.trials if trial.id in chosen)
     scenes = {trial.scene for trial in trials}
-    found = tuple(each for each in place.plan.found if each.scene.name in scenes)
-    how.told.message(f"{plural(len(trials), 'trial')} of {len(place.plan.trials)} re-run")
+    found = tuple(each for each in target.plan.found if each.scene.name in scenes)
+    how.told.message(f"{plural(len(trials), 'trial')} of {len(target.plan.trials)} re-run")
     with TemporaryDirectory(prefix="nw-eval-baseline-") as temporary:
         folder = session.carry_out(
-            replace(place.plan, trials=trials, found=found, arm="baseline"),
+            replace(target.plan, trials=trials, found=found, arm="baseline"),
             replace(how, cache=False),  # It may hold the very results that are to be verified.
             out=Path(temporary) / "run",
         )
@@ -173,9 +173,9 @@ def _is_here(reference: str) -> bool:
 
 
 def _differing(
-    rows: Sequence[Row], bank: BaselineResults, machine: dict[str, str]
+    rows: Sequence[Row], baseline: BaselineResults, machine: dict[str, str]
 ) -> tuple[str, ...]:
     """Return what differs from the results that a run on a machine type is compared with."""
     from nw_gate.baseline.match import differences
 
-    return differences(rows, bank.panel_of(machine) or bank.panels[0])
+    return differences(rows, baseline.panel_of(machine) or baseline.panels[0])

@@ -78,7 +78,7 @@ def prune_cache(limit_gb: float | None = None) -> CacheCleanup:
 
     Raises:
         StoreError: its folder cannot be used.
-        UsageError: a size that is none.
+        UsageError: an invalid size.
     """
     from nw_eval.engine.cache import limit_bytes
 

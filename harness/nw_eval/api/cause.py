@@ -161,7 +161,8 @@ def _rounds(info: RunInfo, suite: Suite, trials: int | None) -> int:
         )
     if info.drawn_from is not None and rounds > info.drawn_from:
         raise UsageError(
-            f"--trials {rounds}: the run drew its starts from the {info.drawn_from} of a baseline",
+            f"--trials {rounds}: the run drew its initial states from the "
+            f"{info.drawn_from} of a baseline",
             fix=f"give at most {info.drawn_from}",
         )
     return rounds
@@ -193,7 +194,7 @@ def _planned(base: Plan, info: RunInfo, suite: Suite, card: str, bundle: Bundle)
         "seed": None,  # The suite has it, also where the run's starts were its policy's own.
         "panel": None,
         "trials": None,
-        "scenes": tuple(escape(place.scene.name) for place in base.found),
+        "scenes": tuple(escape(found_scene.scene.name) for found_scene in base.found),
     }
     planned = plan(suite, **changes)
     if info.drawn_from is None:

@@ -1,6 +1,6 @@
 """Comparing policies, with each other and with the robot. Needs no simulation.
 
-Runs and banks go in; ranks and where policies part, or the agreement with results on the robot,
+Runs and baselines go in; ranks and where policies part, or the agreement with results on the robot,
 come out.
 """
 
@@ -27,7 +27,7 @@ def compare(
     picture: str | Path | None = None,
     confidence: float = 0.95,
 ) -> PolicyComparison:
-    """Compare the policies of two or more runs or banks of one suite, side by side.
+    """Compare the policies of two or more runs or baselines of one suite, side by side.
 
     They are compared on the starts that all have a result from. Nothing is judged.
 
@@ -72,7 +72,7 @@ def check_share(confidence: float) -> None:
 
 
 def entrants(sources: Sequence[str | Path]) -> list[Entrant]:
-    """Return the policies of runs and banks, in this order.
+    """Return the policies of runs and baselines, in this order.
 
     Raises:
         UsageError, IncomparableError, StoreError: as `compare`.
@@ -82,7 +82,7 @@ def entrants(sources: Sequence[str | Path]) -> list[Entrant]:
     runs = {str(source): _run(Path(source)) for source in sources}
     infos = [run[0] for run in runs.values() if run is not None]
     return [
-        _bank(source, infos) if run is None else entrant_of_run(source, *run)
+        _baseline(source, infos) if run is None else entrant_of_run(source, *run)
         for source, run in ((str(source), runs[str(source)]) for source in sources)
     ]
 
@@ -103,11 +103,11 @@ def _run(path: Path) -> tuple[RunInfo, Sequence[Row]] | None:
     return info, saved_rows(folder, info)
 
 
-def _bank(source: str, runs: Sequence[RunInfo]) -> Entrant:
+def _baseline(source: str, runs: Sequence[RunInfo]) -> Entrant:
     """Return a baseline, on the machine type of the first run if it has been there."""
-    from nw_gate.results.bank import machine_of
-    from nw_gate.results.bank_file import find_bank, read_bank
-    from nw_gate.side_by_side import entrant_of_bank
+    from nw_gate.results.baseline import machine_of
+    from nw_gate.results.baseline_file import find_baseline, read_baseline
+    from nw_gate.side_by_side import entrant_of_baseline
 
     if not runs and "/" not in source and not source.endswith(".parquet"):
         raise UsageError(
@@ -115,14 +115,14 @@ def _bank(source: str, runs: Sequence[RunInfo]) -> Entrant:
             fix="name the baseline's file",
         )
     try:
-        path = find_bank(source, suite=str(runs[0].suite.get("name", "")) if runs else "")
+        path = find_baseline(source, suite=str(runs[0].suite.get("name", "")) if runs else "")
     except UsageError as error:
         raise UsageError(
             f"{source} is not a run folder, and {error.message}", fix=error.fix
         ) from None
-    bank = read_bank(path)
-    panel = (bank.panel_of(machine_of(runs[0])) if runs else None) or bank.panels[0]
-    return entrant_of_bank(source, bank, panel)
+    baseline = read_baseline(path)
+    panel = (baseline.panel_of(machine_of(runs[0])) if runs else None) or baseline.panels[0]
+    return entrant_of_baseline(source, baseline, panel)
 
 
 def sim2real(

@@ -30,7 +30,7 @@ def continued(run: Path, request: Request) -> Plan:
         IncomparableError: its run.json does not say what was asked for.
         UsageError, SuiteError, PolicyError: as `plan_of`.
     """
-    from nw_eval.api.banks import resumed_bank
+    from nw_eval.api.loaded_baselines import resumed_baseline
     from nw_eval.api.plans import plan_of
     from nw_eval.suite import draft_of, draft_suite
     from nw_gate.results.journal import has_begun
@@ -61,7 +61,7 @@ def continued(run: Path, request: Request) -> Plan:
     draft = None if request.suite is None else draft_suite(request.suite)
     if draft is not None and draft.suite is not None and has_begun(folder.journal):
         _check_gate(run, suite, draft.suite)
-    against = resumed_bank(folder, info, suite, request)
+    against = resumed_baseline(folder, info, suite, request)
     if draft is not None:
         card = None if whole.policy is None or request.policy is not None else _card(info)
         own = info.own_policy if request.policy is None else None
@@ -77,7 +77,7 @@ def continued(run: Path, request: Request) -> Plan:
             # Its suite as it was kept names the policy that was asked for.
             own_policy=info.own_policy,
         )
-    return _as_drawn(plan, folder, info)
+    return _restore_draw(plan, folder, info)
 
 
 def _check_gate(run: Path, begun: Suite, now: Suite) -> None:
@@ -102,7 +102,7 @@ def _check_gate(run: Path, begun: Suite, now: Suite) -> None:
         )
 
 
-def _as_drawn(plan: Plan, folder: RunFolder, info: RunInfo) -> Plan:
+def _restore_draw(plan: Plan, folder: RunFolder, info: RunInfo) -> Plan:
     """Return a plan that meets the starts that its run was begun with."""
     from nw_eval.api.plans import rechecked
     from nw_gate.results.journal import has_begun, read_journal

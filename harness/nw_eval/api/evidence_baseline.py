@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from nw_eval.api.evidence_log import ReadClip
     from nw_eval.reporting.html.evidence import Clip, LogEvidence
     from nw_eval.reporting.tables import Rivals
-    from nw_gate.results.bank import BankPolicy
+    from nw_gate.results.baseline import BaselinePolicy
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.run_folder import RunFolder
     from nw_policies import Bundle
@@ -50,7 +50,7 @@ def with_baseline_films(
     rows: Mapping[str, Row],
     logs: Mapping[str, Path],
     *,
-    policy: BankPolicy,
+    policy: BaselinePolicy,
     rivals: Rivals,
     kept: KeptEvidence | None,
     runs: bool,
@@ -119,7 +119,7 @@ class _Wanted:
 
     @classmethod
     def of(
-        cls, clip: Clip, row: Row, log: Path, policy: BankPolicy, kept: KeptEvidence | None
+        cls, clip: Clip, row: Row, log: Path, policy: BaselinePolicy, kept: KeptEvidence | None
     ) -> _Wanted:
         missed = row.waypoints_reached + 1
         waypoint = missed if missed <= row.waypoints_total else 0
@@ -154,7 +154,7 @@ def _beside(clip: Clip, film: ReadClip, row: Row, name: str) -> Clip:
 def _made(
     wanted: Sequence[_Wanted],
     folder: RunFolder,
-    policy: BankPolicy,
+    policy: BaselinePolicy,
     rivals: Rivals,
     run: RunInfo,
 ) -> dict[str, ReadClip]:
@@ -220,7 +220,7 @@ def _beside_logs(wanted: Sequence[_Wanted], folder: RunFolder, rivals: Rivals) -
     return {trial: logs[row.trial_id] for trial, row in known.items() if row.trial_id in logs}
 
 
-def _bundle(policy: BankPolicy, robot: str, *, allow_code: bool) -> Bundle:
+def _bundle(policy: BaselinePolicy, robot: str, *, allow_code: bool) -> Bundle:
     """Return the baseline's policy.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Ledgers of verdicts: read, and reckoned up."""
+"""Ledgers of verdicts: reading and summaries."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def record_verdict(judged: RunReport, ledger: str | Path) -> Path:
 
     check_whole(judged.info)
 
-    append_verdict(Path(ledger), judged.verdict, judged.info, judged.rows, bank=judged.bank)
+    append_verdict(Path(ledger), judged.verdict, judged.info, judged.rows, baseline=judged.baseline)
     return Path(ledger)
 
 
@@ -48,7 +48,7 @@ def check_ledger(ledger: str | Path) -> None:
 
 
 def read_ledger(file: str | Path, *, head: str | None = None) -> LedgerReport:
-    """Reckon up a ledger: gates a year, false alarms, re-rolls, and the best of many.
+    """Summarise a ledger: gates a year, false alarms, re-rolls, and the best of many.
 
     Args:
         file: the ledger.

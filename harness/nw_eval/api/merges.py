@@ -15,7 +15,7 @@ from nw_base.plural import plural
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
     from nw_eval.suite import Trial
-    from nw_gate.results.bank import Against
+    from nw_gate.results.baseline import LoadedBaseline
     from nw_gate.results.merge import MergedArm, MergeSource
     from nw_gate.results.row import Row
 
@@ -44,7 +44,7 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
         StoreError: a part or trials of one are missing, a trial has two different results, a folder
             is damaged, or `out` cannot be written.
     """
-    from nw_eval.api.banks import judging_bank
+    from nw_eval.api.loaded_baselines import judging_baseline
     from nw_eval.api.reports import judged_rows, written
     from nw_eval.api.saved_run import saved_suite
     from nw_gate.results.ended import RunRows, wanted
@@ -57,12 +57,12 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
     held = joined(sources, wanted(plan, first.info.stop), first.parts[0].shard.count)
     info = merged_info(sources, plan, name=folder.id, command=tuple(sys.argv))
     arm = MergedArm(info=info, held=held, sources=sources)
-    beside = _beside(sources, plan)
-    info, lost = write_merged(folder.path, arm, _bank(sources), beside)
+    control = _merged_control(sources, plan)
+    info, lost = write_merged(folder.path, arm, _baseline(sources), control)
     suite = saved_suite(info)
     found = RunRows(rows=tuple(one.row for one in held), remarks=(*remarks, *lost))
-    del sources, plan, first, held, arm, beside  # A million trials have hundreds of megabytes.
-    against = judging_bank(folder, info, suite, baseline)
+    del sources, plan, first, held, arm, control  # A million trials have hundreds of megabytes.
+    against = judging_baseline(folder, info, suite, baseline)
     return written(judged_rows(folder, info, suite, against, found), folder.report_md)
 
 
@@ -102,7 +102,7 @@ def _read(
     return sources, ordered, remarks
 
 
-def _beside(sources: Sequence[MergeSource], ordered: Sequence[Trial]) -> MergedArm | None:
+def _merged_control(sources: Sequence[MergeSource], ordered: Sequence[Trial]) -> MergedArm | None:
     """Return the run of the baseline's own policy beside that of all parts; None if it had none.
 
     Args:
@@ -115,7 +115,7 @@ def _beside(sources: Sequence[MergeSource], ordered: Sequence[Trial]) -> MergedA
         TrialError: one is an error.
     """
     from nw_base.files.inside import what_is
-    from nw_eval.api.banks import control_rows
+    from nw_eval.api.loaded_baselines import control_rows
     from nw_gate.results.merge import MergedArm, MergeSource, check_beside, joined, merged_info
     from nw_gate.results.provenance import StopInfo, read_run_info
     from nw_gate.results.request import Shard
@@ -159,13 +159,13 @@ def _beside(sources: Sequence[MergeSource], ordered: Sequence[Trial]) -> MergedA
     return MergedArm(info=info, held=joined(arms, trials, count=1), sources=arms)
 
 
-def _bank(sources: Sequence[MergeSource]) -> Against | None:
+def _baseline(sources: Sequence[MergeSource]) -> LoadedBaseline | None:
     """Return the baseline that the parts were begun against, if any of them can still show it."""
-    from nw_eval.api.banks import kept_bank
+    from nw_eval.api.loaded_baselines import kept_baseline
 
     for source in sources:
         try:
-            return kept_bank(source.folder, source.info)
+            return kept_baseline(source.folder, source.info)
         except (IncomparableError, StoreError):  # Judging reports it, if it is missing.
             continue
     return None

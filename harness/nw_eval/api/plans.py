@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from nw_base.clean import clean
 from nw_base.errors import NwEvalError, Problem, SuiteError, UsageError, nearest
-from nw_eval.api.banks import check_rounds, wanted_bank
+from nw_eval.api.loaded_baselines import check_rounds, wanted_baseline
 from nw_eval.engine.how import How
 from nw_gate.results.request import Request
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from nw_base.words import Arm, Collision
     from nw_eval.engine.plan import Forecast, Plan
     from nw_eval.suite import Draft, Suite, Trial
-    from nw_gate.results.bank import Against, Stratum
+    from nw_gate.results.baseline import LoadedBaseline, Stratum
     from nw_gate.results.provenance import PolicyInfo
     from nw_policies import Bundle
     from nw_scenes import Scene
@@ -69,15 +69,15 @@ def plan_of(
     card: Path | None = None,
     scenes: Sequence[str] | None = None,
     bundle: Bundle | None = None,
-    against: Against | None = None,
+    against: LoadedBaseline | None = None,
     arm: Arm = "candidate",
     own_policy: bool | None = None,
     may_fail: bool = True,
 ) -> Plan:
-    """Resolve what is asked of a suite, as `plan` does.
+    """Resolve a request for a suite, as `plan` does.
 
     Args:
-        request: what is asked for.
+        request: the options given.
         draft: the suite, as far as it could be read.
         card: where its policy lies, if that is known: a run that is resumed elsewhere still names
             its policy as it was asked for, and finds it where it was.
@@ -113,10 +113,12 @@ def plan_of(
     with ThreadPoolExecutor(max_workers=1) as beside:
         read = None
         if suite is not None and against is None:
-            read = beside.submit(wanted_bank, request, suite, own_policy=own_policy)
+            read = beside.submit(wanted_baseline, request, suite, own_policy=own_policy)
         found = open_scenes(draft, faults, request.collision)
-        for place in found:
-            _ = place.scene.digest  # Kept; what looks at the policy is still starting.
+        for found_scene in found:
+            _ = (
+                found_scene.scene.digest
+            )  # Kept; the process that checks the policy is still starting.
         if bundle is None:
             bundle = open_policy(draft, faults, request, robot=robot, card=card, may_fail=may_fail)
         else:
@@ -127,7 +129,7 @@ def plan_of(
     assert suite is not None, "a suite that cannot be used has faults"
     assert bundle is not None, "a policy that cannot be used has faults"
     chosen = chosen_scenes(found, request.scenes if scenes is None else scenes, suite)
-    opened = [place.scene for place in chosen]
+    opened = [found_scene.scene for found_scene in chosen]
     check_splats(bundle.card, opened)
     if read is not None:
         against = read.result()
@@ -147,7 +149,10 @@ def plan_of(
         bundle=bundle,
         found=chosen,
         left_out=tuple(
-            sorted({place.scene.name for place in found} - {place.scene.name for place in chosen})
+            sorted(
+                {found_scene.scene.name for found_scene in found}
+                - {found_scene.scene.name for found_scene in chosen}
+            )
         ),
         trials=trials,
         own_policy=own_policy,
@@ -168,14 +173,14 @@ def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> N
     rules = TaskRules(duration=suite.episode.duration)
     try:
         fault = fault_of(suite.task, hears=bundle.card.hears, rules=rules)
-    except NwEvalError:  # Its package is missing or broken, which is told already.
+    except NwEvalError:  # Its package is missing or broken, as already reported.
         return
     if fault is not None:
-        place = ".".join(map(str, ("task", *fault.location)))
+        location = ".".join(map(str, ("task", *fault.location)))
         faults.extend(
             [
                 suite.source.problem(
-                    ("task", *fault.location), f"{place}: {fault.message}", fault.fix
+                    ("task", *fault.location), f"{location}: {fault.message}", fault.fix
                 )
             ]
         )
@@ -290,7 +295,7 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
 
     assert plan.against is not None, "a baseline policy's plan has a baseline"
     count, against = rechecks(plan.request), plan.against
-    starts = against.bank.manifest.starts
+    starts = against.results.manifest.starts
     strata = _strata(plan.suite, plan.scenes)
     if all_rounds and plan.shard is None:
         key = rounds_key(policy_info(plan.bundle))
@@ -337,7 +342,7 @@ def _on_panel(
     suite: Suite,
     scenes: Sequence[Scene],
     policy: PolicyInfo,
-    against: Against | None,
+    against: LoadedBaseline | None,
 ) -> Suite:
     """Return a suite with the seed of the seed set in use, and the trials that may run."""
     from nw_eval.suite import override
@@ -346,7 +351,7 @@ def _on_panel(
     seed = fresh_seed(policy, suite.model_dump(by_alias=True)) if request.panel == "fresh" else None
     rounds = None
     if against is not None and request.trials is None:
-        known = None if request.panel == "fresh" else against.bank.manifest.starts
+        known = None if request.panel == "fresh" else against.results.manifest.starts
         rounds = suite.gate.rounds_for(len(_strata(suite, scenes)), known)
     return override(suite, Request(seed=seed, trials=rounds))
 
@@ -356,7 +361,7 @@ def _drawn(
     suite: Suite,
     scenes: Sequence[Scene],
     policy: PolicyInfo,
-    against: Against | None,
+    against: LoadedBaseline | None,
 ) -> list[DrawnStart] | None:
     """Return the trials of a run against a baseline in their order; None without a baseline.
 
@@ -372,10 +377,10 @@ def _drawn(
     if request.panel == "fresh":
         return draw_fresh(strata, suite.trials, **order)
     check_rounds(against, suite.trials, suite, request)
-    return draw_trials(strata, against.bank.manifest.starts, suite.trials, **order)
+    return draw_trials(strata, against.results.manifest.starts, suite.trials, **order)
 
 
-def _matched(plan: Plan, against: Against) -> Plan:
+def _matched(plan: Plan, against: LoadedBaseline) -> Plan:
     """Return a plan that its baseline holds for, with whether its policy is the baseline's own.
 
     Raises:
@@ -406,7 +411,7 @@ def check(
 
     Args:
         request: as for `plan`.
-        workers: processes to reckon with (default: one for each core).
+        workers: processes to plan for (default: one for each core).
         changes: fields of `Request` by name.
 
     Raises:
@@ -432,7 +437,7 @@ def chosen_scenes(
         wanted = ", ".join(globs)
         raise UsageError(
             f"--scenes {wanted} matches no scene of suite {suite.name!r}",
-            fix=nearest(wanted.replace("*", ""), [place.scene.name for place in found]),
+            fix=nearest(wanted.replace("*", ""), [found_scene.scene.name for found_scene in found]),
         )
     return chosen
 
@@ -493,9 +498,9 @@ def open_scenes(
         try:
             for each in catalogue.references([pattern], draft.base, collision=collision):
                 if each not in found:
-                    place = found[each] = catalogue.FoundScene.at(*each)
-                    if free := start_finding(place.scene):
-                        faults.at(("scenes", index), _refused(place.scene.name, free))
+                    found_scene = found[each] = catalogue.FoundScene.at(*each)
+                    if free := start_finding(found_scene.scene):
+                        faults.at(("scenes", index), _refused(found_scene.scene.name, free))
         except SceneError as error:
             faults.at(("scenes", index), error)
             failed.append(pattern)
@@ -504,7 +509,7 @@ def open_scenes(
             faults.at(("scenes", index), SceneError(message, fix="name a scene or its folder"))
             failed.append(pattern)
     # A tier of a scene that exists, and is not run for another fault's sake, is no fault.
-    meant = [place.scene.name for place in found.values()]
+    meant = [found_scene.scene.name for found_scene in found.values()]
     faults.extend(tier_problems(draft, meant + list(catalogue.names() if failed else ()), failed))
     return tuple(found.values())
 
@@ -549,8 +554,8 @@ def open_policy(
     Args:
         draft: the suite.
         faults: where to tell what is wrong.
-        request: what is asked for in place of the suite's own.
-        robot: that the suite runs; None = its own fault is told already.
+        request: options that replace the suite's own.
+        robot: that the suite runs; None = its own fault is already reported.
         card: where the policy lies, if that is known.
         may_fail: as for `vet_bundle`.
     """
@@ -590,7 +595,7 @@ def _is_own_policy(draft: Draft, request: Request) -> bool:
 
     Args:
         draft: the suite.
-        request: what is asked for.
+        request: the options given.
     """
     from nw_base.errors import PolicyError
     from nw_policies import find_card
@@ -620,9 +625,9 @@ def _vet_policy(
     Args:
         draft: the suite.
         faults: where to tell what is wrong.
-        request: what is asked for in place of the suite's own.
+        request: options that replace the suite's own.
         bundle: the policy.
-        robot: that the suite runs; None = its own fault is told already.
+        robot: that the suite runs; None = its own fault is already reported.
         may_fail: as for `vet_bundle`.
     """
     from nw_base.protocol import PROTOCOLS, STRICT

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from nw_eval.api.evidence import KeptEvidence
     from nw_eval.reporting.html.evidence import LogEvidence
     from nw_eval.suite import Suite
-    from nw_gate.results.bank import Against, BankPolicy, Start
+    from nw_gate.results.baseline import BaselinePolicy, LoadedBaseline, Start
     from nw_gate.results.ended import RunRows
     from nw_gate.results.provenance import BaselineInfo, RunInfo
     from nw_gate.results.row import Row
@@ -51,11 +51,11 @@ class RunReport:
     """The same for a browser, in one file beside it; None if none was written."""
     evidence: LogEvidence | None = None
     """What its logs showed on that page; None if none was written."""
-    bank: BaselineInfo | None = None
+    baseline: BaselineInfo | None = None
     """The baseline that it was compared with."""
     rivals: Mapping[str, Row | Start] = field(default_factory=dict[str, "Row | Start"])
     """What the baseline's policy did from the starts of its trials, by their names."""
-    baseline_policy: BankPolicy | None = None
+    baseline_policy: BaselinePolicy | None = None
     """The policy that the baseline was saved with."""
     training: TrainingStep | None = None
     """Of a watched training: trackers show its scores at this step of a curve."""
@@ -164,9 +164,9 @@ def as_begun(run: str | Path) -> RunReport:
         UsageError: it is not a run folder.
         StoreError: its run.json or its rows are damaged.
     """
-    from nw_eval.api.banks import kept_bank
+    from nw_eval.api.loaded_baselines import kept_baseline
     from nw_eval.api.saved_run import saved_suite
-    from nw_gate.baseline.combine import without_bank
+    from nw_gate.baseline.combine import without_baseline
     from nw_gate.results.provenance import read_run_info
     from nw_gate.results.run_folder import open_run_folder
 
@@ -174,10 +174,10 @@ def as_begun(run: str | Path) -> RunReport:
     info = read_run_info(folder.run_json)
     suite = saved_suite(info)
     try:
-        return _judged(folder, info, suite, lambda: kept_bank(folder, info))
+        return _judged(folder, info, suite, lambda: kept_baseline(folder, info))
     except IncomparableError as error:
         judged = _judged(folder, info, suite, lambda: None)
-        return replace(judged, verdict=without_bank(judged.verdict, str(error)))
+        return replace(judged, verdict=without_baseline(judged.verdict, str(error)))
 
 
 def as_published(run: Path) -> RunReport:
@@ -190,9 +190,9 @@ def as_published(run: Path) -> RunReport:
         UsageError: it is not a run folder.
         StoreError: a file of it is none of its own, damaged, or not as it was when the run ended.
     """
-    from nw_eval.api.banks import kept_bank
+    from nw_eval.api.loaded_baselines import kept_baseline
     from nw_eval.api.saved_run import saved_suite, saved_trials
-    from nw_gate.baseline.combine import without_bank
+    from nw_gate.baseline.combine import without_baseline
     from nw_gate.results.evidence_check import check_files
     from nw_gate.results.provenance import read_run_info
     from nw_gate.results.run_folder import check_plain, find_run_folder
@@ -218,11 +218,11 @@ def as_published(run: Path) -> RunReport:
                 fix=f"no scene has more than {limits.WAYPOINTS}",
             )
     try:
-        bank = kept_bank(folder, info, elsewhere=False)
+        baseline = kept_baseline(folder, info, elsewhere=False)
     except IncomparableError as error:
         judged = _judged(folder, info, suite, lambda: None, mend=False)
-        return replace(judged, verdict=without_bank(judged.verdict, str(error)))
-    return _judged(folder, info, suite, lambda: bank, mend=False)
+        return replace(judged, verdict=without_baseline(judged.verdict, str(error)))
+    return _judged(folder, info, suite, lambda: baseline, mend=False)
 
 
 def judge(
@@ -250,7 +250,7 @@ def judge(
         IncomparableError: the baseline does not hold for the run, or has too few starts for it.
         StoreError: its rows or the baseline are damaged, or the report cannot be written.
     """
-    from nw_eval.api.banks import judging_bank
+    from nw_eval.api.loaded_baselines import judging_baseline
     from nw_eval.api.saved_run import check_whole, saved_suite
     from nw_eval.suite.model import override_gate
     from nw_gate.results.provenance import read_run_info
@@ -260,7 +260,7 @@ def judge(
     folder = open_run_folder(Path(run))
     info = check_whole(read_run_info(folder.run_json))
     suite = override_gate(saved_suite(info), max_drop=max_drop, tolerate=tolerate)
-    judged = _judged(folder, info, suite, lambda: judging_bank(folder, info, suite, baseline))
+    judged = _judged(folder, info, suite, lambda: judging_baseline(folder, info, suite, baseline))
     return judged if out is None else written(judged, out)
 
 
@@ -268,7 +268,7 @@ def _judged(
     folder: RunFolder,
     info: RunInfo,
     suite: Suite,
-    bank: Callable[[], Against | None],
+    baseline: Callable[[], LoadedBaseline | None],
     *,
     mend: bool = True,
 ) -> RunReport:
@@ -280,14 +280,14 @@ def _judged(
 
     # A process of its own reads the baseline, which takes as long as the rows do.
     with ThreadPoolExecutor(max_workers=1) as beside:
-        opened = beside.submit(bank)
+        opened = beside.submit(baseline)
         trials, spare = saved_trials(info, suite), spare_trials(info, suite)
         found = read_trials(folder, info, trials, spare=spare, mend=mend)
     return judged_rows(folder, info, suite, opened.result(), found)
 
 
 def judged_rows(
-    folder: RunFolder, info: RunInfo, suite: Suite, against: Against | None, found: RunRows
+    folder: RunFolder, info: RunInfo, suite: Suite, against: LoadedBaseline | None, found: RunRows
 ) -> RunReport:
     """Return the verdict on rows that are read already, with what there is to remark on them.
 
@@ -307,9 +307,9 @@ def judged_rows(
         verdict=verdict,
         rows=found.rows,
         page=None,
-        bank=None if against is None else against.info,
+        baseline=None if against is None else against.info,
         rivals={} if against is None or is_fresh else against.rivals(found.rows, info),
-        baseline_policy=None if against is None else against.bank.manifest.policy,
+        baseline_policy=None if against is None else against.results.manifest.policy,
     )
 
 

@@ -87,10 +87,10 @@ def roll_out(
         resume: the folder of an interrupted run.
 
     Raises:
-        UsageError: a label is none.
+        UsageError: an invalid label.
         IncomparableError, StoreError, SceneError, TrialError, PrerequisiteError: as `run`.
     """
-    from nw_eval.api.contest import Contest
+    from nw_eval.api.baseline_comparison import BaselineComparison
     from nw_eval.api.plans import rechecked
     from nw_eval.engine import session
     from nw_eval.engine.order import unforeseen_seed
@@ -107,22 +107,22 @@ def roll_out(
         # The starts that run again are drawn now: no file says which they will be.
         whole = how.all_rounds or plan.shard is not None
         plan = rechecked(plan, unforeseen_seed(), all_rounds=whole)
-    contest = None
-    for words in _ahead(plan):
-        how.told.message(words)
+    comparison = None
+    for text in _preflight_messages(plan):
+        how.told.message(text)
     if plan.against is not None:
-        contest = Contest(plan, plan.against, how)
+        comparison = BaselineComparison(plan, plan.against, how)
     elif (plan.shard is None or plan.shard.count == 1) and plan.request.baseline != "none":
         name = plan.suite.name if plan.request.suite is None else str(plan.request.suite)
         policy = plan.bundle.name if plan.request.policy is None else plan.request.policy
         if why := unjudged(plan.suite.gate, name, policy):
             how.told.message(why)
     return session.carry_out(
-        plan, how, out=out, resume=resume, contest=contest, meanwhile=prepare_pages
+        plan, how, out=out, resume=resume, comparison=comparison, meanwhile=prepare_pages
     )
 
 
-def _ahead(plan: Plan) -> Iterator[str]:
+def _preflight_messages(plan: Plan) -> Iterator[str]:
     """Yield what is said before a run begins."""
     from nw_eval.engine.plan import obstacles_of
     from nw_scenes.robots import find_robot
@@ -149,10 +149,10 @@ def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
     from nw_sim.catalogue import is_built_in
     from nw_sim.survey.course import course_findings
 
-    for place in plan.found:
-        if not is_built_in(place.reference):
-            for finding in course_findings(place.scene, plan.suite.robot):
-                yield place.scene.name, finding
+    for found_scene in plan.found:
+        if not is_built_in(found_scene.reference):
+            for finding in course_findings(found_scene.scene, plan.suite.robot):
+                yield found_scene.scene.name, finding
 
 
 def _beyond_legs(plan: Plan) -> Iterator[str]:
@@ -169,7 +169,7 @@ def _beyond_legs(plan: Plan) -> Iterator[str]:
     if not places:
         return
     legs = legs_of(get_robot(plan.suite.robot))
-    fits = {place.scene.name: fit_of(place.scene, legs) for place in places}
+    fits = {found_scene.scene.name: fit_of(found_scene.scene, legs) for found_scene in places}
     asked = [f"{name} ({', '.join(fit.beyond)})" for name, fit in fits.items() if fit.beyond]
     if asked:
         some = ", ".join(asked[:3]) + (f" and {len(asked) - 3} more" if len(asked) > 3 else "")

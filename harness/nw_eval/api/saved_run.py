@@ -45,8 +45,8 @@ def saved_suite(info: RunInfo) -> Suite:
         suite = new_suite(info.suite, Source(file=info.suite_file, folder=folder))
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(str(part) for part in ("suite", *first["loc"]))
-        raise _damaged(info, f"{place}: {first['msg'].lower()}") from None
+        location = ".".join(str(part) for part in ("suite", *first["loc"]))
+        raise _damaged(info, f"{location}: {first['msg'].lower()}") from None
     if suite.digest != info.suite_digest:
         raise _damaged(info, f"its suite is {suite.digest[:8]}, not {info.suite_digest[:8]}")
     return suite
@@ -91,7 +91,7 @@ def saved_rows(folder: RunFolder, info: RunInfo) -> tuple[Row, ...]:
     """Return the rows of a run's plan.
 
     Args:
-        folder: of the run.
+        folder: the run's folder.
         info: its run.json.
 
     Raises:
@@ -133,7 +133,7 @@ def whole_plan(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
         strata = [(scene.name, cell) for scene in scenes for cell in suite.perturb.cells]
         starts = suite.trials if info.drawn_from is None else info.drawn_from
         if not suite.trials <= starts <= MAX_TRIALS // max(1, len(strata)):
-            raise _damaged(info, f"{suite.trials} trials of each scene of {starts} starts")
+            raise _damaged(info, f"{suite.trials} trials of each scene of {starts} initial states")
         order = drawn_order(info, strata, suite.trials)
     try:
         return expand(suite, scenes, order)

@@ -28,7 +28,7 @@ class ListedSensor:
 def list_sensors() -> tuple[ListedSensor, ...]:
     """Return the sensors, then the wrappers; of each, those that are built in, then plug-ins.
 
-    A plug-in that cannot be imported is told of in a `PluginWarning`, and left out.
+    A plug-in that cannot be imported is reported as a `PluginWarning` and left out.
     """
     from nw_base.plugins import SENSORS, WRAPPERS, usable
     from nw_policies.cards.observations import BUILT_IN_SENSORS

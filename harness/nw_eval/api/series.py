@@ -28,7 +28,7 @@ _REPORTS = Path("reports")
 class BisectedSeries:
     """A series, as far as it was judged against the checkpoint that was known to be good."""
 
-    bank: str
+    baseline: str
     """Of the good one."""
     checkpoints: tuple[str, ...]
     """In order of age, the bad one last."""
@@ -95,7 +95,7 @@ def bisect(
     Raises:
         UsageError, SuiteError, PolicyError: a checkpoint or the suite cannot be used.
         IncomparableError: the baseline does not hold here, or moved on this machine.
-        TrialError: a trial came to no result.
+        TrialError: a trial produced no result.
         StoreError: results cannot be written.
     """
     from nw_eval.suite import load_suite
@@ -107,26 +107,30 @@ def bisect(
     read = load_suite(suite)
     how = How.taken_from(changes, "workers", "cache", "listener")
     request = Request.of(suite, policy=policy, record="none", **changes)
-    for one in (*series, *(() if _is_bank(good, read.name) else (good,))):
+    for one in (*series, *(() if _is_baseline(good, read.name) else (good,))):
         _check_place(one)
     folder = out or _REPORTS / f"bisect-{read.name}"
-    bank = _bank_of(good, request, read.name, baseline_trials, how)
+    baseline = _baseline_of(good, request, read.name, baseline_trials, how)
     runs: dict[int, RunReport] = {}
 
-    def word(place: int) -> Decision:
-        name = f"{place + 1:02d}-{re.sub(r'[^A-Za-z0-9_.]+', '-', Path(series[place]).stem)}"
-        asked_for = _of(request, series[place], bank)
-        runs[place] = _judged(asked_for, folder / name, how)
-        finding = _finding(runs[place])
+    def word(index: int) -> Decision:
+        name = f"{index + 1:02d}-{re.sub(r'[^A-Za-z0-9_.]+', '-', Path(series[index]).stem)}"
+        asked_for = _request_for(request, series[index], baseline)
+        runs[index] = _judged(asked_for, folder / name, how)
+        finding = _finding(runs[index])
         if progress is not None:
-            progress(series[place], finding)
+            progress(series[index], finding)
         return finding
 
     found = None
     with suppress(_InterruptedSeriesError):
         found = bisection.bisect(len(series), word, everyone=everyone)
     return BisectedSeries(
-        bank=bank, checkpoints=series, runs=dict(sorted(runs.items())), found=found, folder=folder
+        baseline=baseline,
+        checkpoints=series,
+        runs=dict(sorted(runs.items())),
+        found=found,
+        folder=folder,
     )
 
 
@@ -134,13 +138,13 @@ class _InterruptedSeriesError(Exception):
     """A signal ended the run of a checkpoint."""
 
 
-def _is_bank(good: str | Path, suite: str) -> bool:
+def _is_baseline(good: str | Path, suite: str) -> bool:
     """Whether a name or path means a baseline, and no checkpoint."""
     from nw_base.errors import UsageError
-    from nw_gate.results.bank_file import find_bank
+    from nw_gate.results.baseline_file import find_baseline
 
     try:
-        return find_bank(good, suite=suite).suffix == ".parquet"
+        return find_baseline(good, suite=suite).suffix == ".parquet"
     except UsageError:
         return False
 
@@ -163,7 +167,7 @@ def _of_folders(
             series.append(each)
             continue
         found = checkpoints_in(Path(each))
-        there = {path.resolve(): place for place, path in enumerate(found)}
+        there = {path.resolve(): index for index, path in enumerate(found)}
         first = there.get(Path(good).resolve(), -1) + 1
         last = there.get(Path(bad).resolve(), len(found))
         found = found[first:last]
@@ -189,14 +193,16 @@ def _check_place(checkpoint: str | Path) -> None:
         find_card(str(checkpoint))
 
 
-def _of(request: Request, checkpoint: str, bank: str | None = None) -> Request:
-    """Return what runs one checkpoint: weights for the card of a policy, or a policy of its own."""
+def _request_for(request: Request, checkpoint: str, baseline: str | None = None) -> Request:
+    """Return the request for one checkpoint: weights for a policy's card, or its own policy."""
     if Path(checkpoint).is_file() and Path(checkpoint).suffix not in {".yaml", ".yml"}:
-        return replace(request, checkpoint=Path(checkpoint), baseline=bank)
-    return replace(request, policy=checkpoint, baseline=bank)
+        return replace(request, checkpoint=Path(checkpoint), baseline=baseline)
+    return replace(request, policy=checkpoint, baseline=baseline)
 
 
-def _bank_of(good: str | Path, request: Request, suite: str, starts: int | None, how: How) -> str:
+def _baseline_of(
+    good: str | Path, request: Request, suite: str, starts: int | None, how: How
+) -> str:
     """Return the baseline of the good checkpoint, saved first if there is none.
 
     Raises:
@@ -205,9 +211,9 @@ def _bank_of(good: str | Path, request: Request, suite: str, starts: int | None,
     from nw_base.errors import IncomparableError
     from nw_eval.api.baselines_saved import save_baseline
 
-    if _is_bank(good, suite):
+    if _is_baseline(good, suite):
         return str(good)
-    wanted = _of(request, str(good))
+    wanted = _request_for(request, str(good))
     saved = save_baseline(
         suite if request.suite is None else request.suite,
         policy=wanted.policy,

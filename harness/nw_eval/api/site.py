@@ -329,8 +329,8 @@ def _rendered(
 
     hrefs: dict[Path, str] = {}
     for number, run in enumerate(judged, 1):
-        words = f"{_suite_of(run)}-{run.info.policy.name}"
-        slug = f"{number:03d}-{re.sub(r'[^A-Za-z0-9_-]+', '-', words)[:60]}"
+        text = f"{_suite_of(run)}-{run.info.policy.name}"
+        slug = f"{number:03d}-{re.sub(r'[^A-Za-z0-9_-]+', '-', text)[:60]}"
         href = f"{REPORTS}/{slug}/report.html"
         try:
             write_anew(run, site / href, logs=True, draws=draws)
@@ -390,23 +390,23 @@ def _sections(
         return BoardRun(info=run.info, verdict=run.verdict, href=hrefs[run.folder])
 
     found = [
-        (each, comparison, group.note, () if place else group.stopped)
+        (each, comparison, group.note, () if index else group.stopped)
         for group in groups
-        for place, (each, comparison) in enumerate(_compared(group.runs, confidence, left_out))
+        for index, (each, comparison) in enumerate(_compared(group.runs, confidence, left_out))
     ]
     suites = [runs[0][1].suite for runs, *_ in found]
     return [
         BoardSection(
-            title=f"{suites[place]} ({suites[: place + 1].count(suites[place])})"
-            if suites.count(suites[place]) > 1
-            else suites[place],
+            title=f"{suites[index]} ({suites[: index + 1].count(suites[index])})"
+            if suites.count(suites[index]) > 1
+            else suites[index],
             note=note,
             comparison=comparison,
             runs=tuple(shown(run) for run, _ in runs),
             stopped=tuple(map(shown, stopped)),
             pictures={},
         )
-        for place, (runs, comparison, note, stopped) in enumerate(found)
+        for index, (runs, comparison, note, stopped) in enumerate(found)
     ]
 
 

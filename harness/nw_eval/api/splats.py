@@ -86,7 +86,7 @@ def splat_render(
     Raises:
         SceneError: the source cannot be read.
         UsageError: what `out` is called says no format, or `target` is given without `eye`.
-        PrerequisiteError: the renderer, or what writes MP4, is not installed.
+        PrerequisiteError: the renderer, or the MP4 writer, is not installed.
         StoreError: the picture cannot be written.
     """
     from nw_scenes.overview import circuit

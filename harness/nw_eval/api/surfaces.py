@@ -199,7 +199,7 @@ def publish_error(error: NwEvalError, suite: str, where: Surfaces) -> Published:
 
 
 _Writer = tuple[str, Callable[[], Sequence[str] | None]]
-"""A surface's name, and what writes it; what that returns is for the runner to read."""
+"""A surface's name and its writer; the runner reads what the writer returns."""
 
 
 def _writer(

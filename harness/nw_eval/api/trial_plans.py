@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from nw_gate.baseline.power_forecast import Outset
     from nw_gate.baseline.scores import ScoreForecast
     from nw_gate.results.request import Request
-    from nw_gate.stats.bank.curve import CurvePoint, Progress
+    from nw_gate.stats.baseline.curve import CurvePoint, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class TrialPlan:
 
     suite: str
     source: str
-    """What it is reckoned from: a baseline or a run, in words."""
+    """What it is computed from: a baseline or a run, as text."""
     outset: Outset
     """What is known before the first trial: the baseline's scores, margins, budget."""
     detect: float
@@ -105,7 +105,7 @@ def plan_trials(
         StoreError: the baseline or the run is damaged, or the picture cannot be written.
         IncomparableError: the baseline or the run has other scenes than the suite.
     """
-    from nw_eval.api.banks import NO_BASELINE
+    from nw_eval.api.loaded_baselines import NO_BASELINE
     from nw_eval.api.plans import plan
     from nw_eval.engine.how import check_workers
 
@@ -116,10 +116,10 @@ def plan_trials(
     resolved = plan(suite, baseline=NO_BASELINE)  # The baseline is here what is asked about.
     gate = resolved.suite.gate
     if run is None and detect is None and (baseline or gate.baseline) in {None, NO_BASELINE}:
-        from nw_gate.results.bank_file import bank_files
+        from nw_gate.results.baseline_file import baseline_files
 
         asked_for = baseline == NO_BASELINE
-        if gate.success_rate is not None and (asked_for or not bank_files(resolved.suite.name)):
+        if gate.success_rate is not None and (asked_for or not baseline_files(resolved.suite.name)):
             if out is not None:
                 raise UsageError(
                     "--out without a baseline: the curve is of drops against one",
@@ -127,7 +127,7 @@ def plan_trials(
                 )
             return _of_bar(resolved, gate.success_rate)
     source, outset = (
-        _of_bank(resolved, baseline or resolved.suite.gate.baseline)
+        _of_baseline(resolved, baseline or resolved.suite.gate.baseline)
         if run is None
         else _of_run(resolved, Path(run))
     )
@@ -158,10 +158,10 @@ def plan_trials(
 def _of_scores(resolved: Plan, reference: str | None) -> tuple[ScoreForecast, ...]:
     """Return what the gate makes of each score that it compares with a baseline."""
     from nw_gate.baseline.scores import forecast_scores
-    from nw_gate.results.bank_file import read_bank
+    from nw_gate.results.baseline_file import read_baseline
 
-    bank = read_bank(_bank_file(resolved.suite, reference))
-    return forecast_scores(bank, resolved.suite.measured, resolved.suite.gate)
+    baseline = read_baseline(_baseline_file(resolved.suite, reference))
+    return forecast_scores(baseline, resolved.suite.measured, resolved.suite.gate)
 
 
 def _of_bar(resolved: Plan, bar: float) -> BarPlan:
@@ -217,37 +217,37 @@ def _draw(planned: TrialPlan, png: Path) -> None:
     )
 
 
-def _of_bank(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
+def _of_baseline(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
     """Return what a baseline is, in words, and what is known with it."""
-    from nw_gate.baseline.power_forecast import outset_of_bank
-    from nw_gate.results.bank_file import read_bank
+    from nw_gate.baseline.power_forecast import outset_of_baseline
+    from nw_gate.results.baseline_file import read_baseline
 
     suite = resolved.suite
-    bank = read_bank(_bank_file(suite, reference))
-    manifest = bank.manifest
+    baseline = read_baseline(_baseline_file(suite, reference))
+    manifest = baseline.manifest
     source = f"baseline {manifest.name} of {manifest.policy.name}"
     _check(resolved, source, manifest.key.suite_digest, manifest.key.scenes)
-    return source, outset_of_bank(bank.panels[0], suite.gate)
+    return source, outset_of_baseline(baseline.panels[0], suite.gate)
 
 
-def _bank_file(suite: Suite, reference: str | None) -> Path:
-    from nw_eval.api.banks import NO_BASELINE
-    from nw_gate.results.bank_file import find_bank
+def _baseline_file(suite: Suite, reference: str | None) -> Path:
+    from nw_eval.api.loaded_baselines import NO_BASELINE
+    from nw_gate.results.baseline_file import find_baseline
 
     if reference is None or reference == NO_BASELINE:
-        return _only_bank(suite.name)
-    return find_bank(reference, suite=suite.name)
+        return _only_baseline(suite.name)
+    return find_baseline(reference, suite=suite.name)
 
 
-def _only_bank(suite: str) -> Path:
+def _only_baseline(suite: str) -> Path:
     """Return the baseline that a suite which names none can be planned with.
 
     Raises:
         UsageError: it has none, or several.
     """
-    from nw_gate.results.bank_file import bank_files
+    from nw_gate.results.baseline_file import baseline_files
 
-    files = bank_files(suite)
+    files = baseline_files(suite)
     if len(files) == 1:
         return files[0]
     there = f"has {', '.join(sorted({file.stem for file in files}))}" if files else "has none"

@@ -90,7 +90,7 @@ def verify(
         how: fields of `How` by name: workers, listener.
 
     Raises:
-        UsageError: it is not a run folder, or an argument is of no use.
+        UsageError: it is not a run folder, or an argument is invalid.
         StoreError: its run.json is damaged, or contradicts itself.
     """
     from nw_eval.api.saved_run import saved_suite, saved_trials

@@ -51,7 +51,7 @@ def run_again(
     seed: int,
     how: How,
 ) -> Repeats:
-    """Run trials of a run again, and compare what they come to with their rows and logs.
+    """Run trials of a run again, and compare their results with their rows and logs.
 
     Args:
         folder: of the run, in which nothing is written.
@@ -152,10 +152,10 @@ def _repeats_of(
 
 
 def compared(row: Row, again: Row, *, run: RunFolder, now: RunFolder) -> RepeatedTrial:
-    """Compare a trial of a run with what it comes to now.
+    """Compare a trial of a run with its result now.
 
     Args:
-        row: of the run.
+        row: one of the run's.
         again: of the trial that was run again.
         run: the folder of the run, and
         now: the one that the trial was run in.

@@ -423,15 +423,15 @@ class _Watch:
             resume=folder if begun else None,
         )
         try:
-            bank = self._bank()
+            baseline = self._baseline()
         except KeyboardInterrupt:  # What it had of the baseline is kept, and so is the run.
             return None
 
         def against_best(run: Path) -> RunReport:
             found = as_begun(run)
-            if bank is None or found.verdict.verdict in {"INFRASTRUCTURE", "INVALID"}:
+            if baseline is None or found.verdict.verdict in {"INFRASTRUCTURE", "INVALID"}:
                 return found
-            return judge(run, baseline=str(bank))
+            return judge(run, baseline=str(baseline))
 
         return judged(ran, how=against_best)  # Its pages are written once.
 
@@ -440,7 +440,7 @@ class _Watch:
         known = [each for each in self._state.checkpoints if each.success is not None and each.run]
         return max(known, key=lambda each: each.success or 0.0, default=None)
 
-    def _bank(self) -> Path | None:
+    def _baseline(self) -> Path | None:
         """Return the baseline of the best checkpoint so far, or None.
 
         The run by which it was chosen overstates it: of fifty equal checkpoints the best one is so
@@ -464,7 +464,7 @@ class _Watch:
         if not any(root.rglob(f"{key}.parquet")):
             self.how.told.message(
                 f"step {best.step} is the best so far, and is compared with from now on: its "
-                f"baseline is of {starts} starts a scene that took no part in choosing it"
+                f"baseline has {starts} initial states per scene that took no part in choosing it"
             )
         return save_baseline(
             self.request.suite,
@@ -558,8 +558,10 @@ def _obstacles(request: Request) -> tuple[str, ...]:
     try:
         suite = override(draft.suite, request)
         found = open_scenes(draft, Faults(draft), request.collision)
-        names = [place.scene.name for place in chosen_scenes(found, request.scenes, suite)]
-        left_out = {place.scene.name for place in found} - {*names}
+        names = [
+            found_scene.scene.name for found_scene in chosen_scenes(found, request.scenes, suite)
+        ]
+        left_out = {found_scene.scene.name for found_scene in found} - {*names}
         return obstacles_among_equals(suite, names, left_out)
     except NwEvalError:
         return ()

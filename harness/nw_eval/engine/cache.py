@@ -83,7 +83,7 @@ class Kept:
 
 
 def limit_bytes() -> int:
-    """Return the size that the cache may have; 0 = there is to be none.
+    """Return the size that the cache may have; 0 = no cache.
 
     Raises:
         UsageError: `NW_EVAL_CACHE_GB` is no size.
@@ -267,7 +267,7 @@ class CacheEntry:
             raise ValueError("the log is not what was kept")
 
     def touch(self) -> None:
-        """Remember that the entry has been of use."""
+        """Mark the entry as used."""
         with suppress(OSError):
             os.utime(self.path)
 
@@ -276,7 +276,7 @@ def read_entry(path: Path) -> CacheEntry:
     """Return the entry of a folder, whose name is its key. Its log is not looked at.
 
     Raises:
-        NO_ENTRY: it is none, or damaged, or another version's, or another trial's.
+        NO_ENTRY: it is not an entry, is damaged, or another version's, or another trial's.
     """
     with _opened(path) as folder, _plain(_ROW, folder) as stream:
         data = stream.read(_MOST_ROW)

@@ -20,7 +20,7 @@ class How:
     """How trials are run. No row depends on it.
 
     Raises:
-        UsageError: a value is of no use, or two exclude each other.
+        UsageError: a value is invalid, or two exclude each other.
     """
 
     workers: int | None = None
@@ -119,7 +119,7 @@ class How:
 
 
 def check_workers(workers: int | None) -> None:
-    """Refuse a number of workers that is none.
+    """Refuse an invalid number of workers.
 
     Raises:
         UsageError: it is less than 1.
@@ -132,7 +132,7 @@ def check_limits(request: Request, door: str) -> None:
     """Refuse limits to trials that run in the calling process.
 
     Args:
-        request: what is asked for.
+        request: the options given.
         door: why they do, in words.
 
     Raises:

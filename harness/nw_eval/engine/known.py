@@ -150,7 +150,7 @@ class KnownTrials:
     again: Collection[str] = ()
     """Trials that run in any case."""
     chance: Random = field(default_factory=SystemRandom)
-    """Draws what runs again."""
+    """Draws the trials to re-run."""
 
     def __post_init__(self) -> None:
         self.has_added = False

@@ -48,7 +48,7 @@ class LocalProcesses:
 
     Args:
         jobs: all of the run.
-        folder: of the run.
+        folder: the run's folder.
         run: called with each job in a worker.
         memory_limit: bytes that a worker may hold with its children.
         builders: of splats that are not there yet; None = all are.
@@ -214,10 +214,10 @@ class LocalWorkers(QueuedWorkers):
                 place = ready[next_place((trials[p] for p in ready), own=own, taken=taken)]
         return place
 
-    def _give(self, each: WorkerProcess, place: int) -> None:
+    def _give(self, each: WorkerProcess, index: int) -> None:
         """Give a worker the job at a position in the queue."""
-        each.give(self._queue[place])
-        del self._queue[place]
+        each.give(self._queue[index])
+        del self._queue[index]
 
     def _build(self) -> None:
         """Let splats be built on the cores on which no trial runs, those first that trials need."""

@@ -17,7 +17,7 @@ from nw_eval.engine.machine import worker_count
 from nw_eval.engine.order import in_order
 from nw_eval.engine.prepare import needs_splats
 from nw_eval.suite import suite_yaml
-from nw_gate.results.bank import machine_in
+from nw_gate.results.baseline import machine_in
 from nw_sim.rollout.job import TrialJob, kernels_of
 from nw_sim.rollout.record import attachments
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from nw_base.trials import DrawnStart, Trial
     from nw_base.words import Arm, Backend, Kernels, PanelKind
     from nw_eval.suite.model import Suite
-    from nw_gate.results.bank import Against
+    from nw_gate.results.baseline import LoadedBaseline
     from nw_gate.results.column import Settings
     from nw_gate.results.provenance import ShardInfo
     from nw_gate.results.request import Request
@@ -71,7 +71,7 @@ class Plan:
     """Whether the policy is the suite's own: only then its own baseline counts."""
     shard: ShardInfo | None = None
     """Which part of a run it is; None: all of it."""
-    against: Against | None = None
+    against: LoadedBaseline | None = None
     is_baseline: bool = False
     """Whether the policy to be judged is the baseline's own, on the baseline's starts, of which
     only some need run again."""
@@ -100,7 +100,7 @@ class Plan:
             return self.drawn.starts
         if self.against is None or self.panel == "fresh":
             return None
-        return self.against.bank.manifest.starts
+        return self.against.results.manifest.starts
 
     @property
     def plugins(self) -> dict[str, str]:
@@ -281,7 +281,7 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
 def _expected(plan: Plan) -> tuple[Trial, ...]:
     """Return the trials that would run; of the baseline's own policy, those that run again."""
     machine = machine_in(engine_of(plan.render, plan.suite.plugins, plan.bundle.card))
-    if not plan.is_baseline or plan.against is None or not plan.against.bank.panel_of(machine):
+    if not plan.is_baseline or plan.against is None or not plan.against.results.panel_of(machine):
         return plan.trials
     again = 1 if plan.request.recheck is None else plan.request.recheck
     met: Counter[tuple[str, Settings]] = Counter()
@@ -308,7 +308,7 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
         return ()  # Without a bar or a baseline the verdict is RAN.
     unknown = () if against is None else _scores_it_lacks(plan, against)
     # Of the baseline's own policy nothing runs: the scores of its starts are judged.
-    known = None if against is None or not plan.is_baseline else against.bank.manifest.starts
+    known = None if against is None or not plan.is_baseline else against.results.manifest.starts
     found = bar_obstacles(
         suite.gate,
         [scene.name for scene in plan.scenes],
@@ -318,44 +318,44 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
         against=against is not None,
     )
     if against is not None and not found and known is None:
-        found += _against_the_bank(plan, against)
+        found += _against_the_baseline(plan, against)
     return (*unknown, *found)
 
 
-def _scores_it_lacks(plan: Plan, against: Against) -> tuple[str, ...]:
+def _scores_it_lacks(plan: Plan, against: LoadedBaseline) -> tuple[str, ...]:
     """Return which gated scores a baseline was saved without, that holds on this machine type.
 
     On another one its policy runs beside the candidate, and is measured, too.
     """
     from nw_gate.baseline.scores import lacks_score
 
-    bank = against.bank
+    baseline = against.results
     engine = engine_of(plan.render, plan.suite.plugins, plan.bundle.card)
-    if bank.panel_of(machine_in(engine)) is None:
+    if baseline.panel_of(machine_in(engine)) is None:
         return ()
     fix = "save it again with this suite: `nw-eval baseline save SUITE --policy POLICY --renew`"
     return tuple(
-        f"{lacks_score(bank, name)}: {fix}"
+        f"{lacks_score(baseline, name)}: {fix}"
         for name, asked in plan.suite.gate.scores.items()
-        if asked.max_drop is not None and name not in bank.manifest.scores
+        if asked.max_drop is not None and name not in baseline.manifest.scores
     )
 
 
 def _power(plan: Plan) -> str | None:
     """Return what the gate against the baseline can tell apart with the trials of a plan."""
     from nw_base.errors import IncomparableError
-    from nw_gate.baseline.power_forecast import in_a_sentence, outset_of_bank
+    from nw_gate.baseline.power_forecast import in_a_sentence, outset_of_baseline
 
     against, gate = plan.against, plan.suite.gate
     if against is None or plan.is_baseline:
         return None
     names = {scene.name for scene in plan.scenes}
-    panel = against.bank.panels[0]
+    panel = against.results.panels[0]
     panel = replace(panel, starts=tuple(x for x in panel.starts if x.scene in names))
     judged = sum(gate.tier(scene.name) != "informational" for scene in plan.scenes)
     budget = plan.suite.trials * judged * len(plan.suite.perturb.cells)
     try:
-        outset = outset_of_bank(panel, gate, budget=budget, against=gate.claim)
+        outset = outset_of_baseline(panel, gate, budget=budget, against=gate.claim)
     except IncomparableError:
         return None  # The run says why.
     return in_a_sentence(outset.power_forecast(), outset.budget)
@@ -363,10 +363,10 @@ def _power(plan: Plan) -> str | None:
 
 def _warnings(plan: Plan) -> tuple[str, ...]:
     """Return that the bar is above what the baseline's own policy scores, if it is."""
-    from nw_gate.results.bank import bank_mean
+    from nw_gate.results.baseline import baseline_mean
 
     bar, against = plan.suite.gate.success_rate, plan.against
-    if bar is None or against is None or (mean := bank_mean(against.bank)) >= bar:
+    if bar is None or against is None or (mean := baseline_mean(against.results)) >= bar:
         return ()
     sentence = (
         f"gate.success_rate {bar:g} is above the success of baseline {against.info.name}, "
@@ -375,11 +375,11 @@ def _warnings(plan: Plan) -> tuple[str, ...]:
     return (sentence,)
 
 
-def _against_the_bank(plan: Plan, against: Against) -> list[str]:
+def _against_the_baseline(plan: Plan, against: LoadedBaseline) -> list[str]:
     """Return that the trials of a plan are too few to exclude max_drop, if they are."""
     from nw_gate.baseline.power_forecast import trials_to_pass_baseline
 
-    suite, manifest, panel = plan.suite, against.bank.manifest, against.bank.panels[0]
+    suite, manifest, panel = plan.suite, against.results.manifest, against.results.panels[0]
     fresh = plan.drawn_from is None
     order, scenes = _whole_order(plan, against), len(plan.scenes) * len(suite.perturb.cells)
     needed = trials_to_pass_baseline(suite.gate, panel, order, fresh=fresh)
@@ -387,7 +387,8 @@ def _against_the_bank(plan: Plan, against: Against) -> list[str]:
         return []
     most = len(order) // scenes
     if needed is None:
-        fix = f"the baseline has no more than {plural(manifest.starts, 'start')} in each scene"
+        states = plural(manifest.starts, "initial state")
+        fix = f"the baseline has no more than {states} in each scene"
         if fresh:
             fix = f"{most} in each scene cannot either"
     else:
@@ -446,12 +447,12 @@ def obstacles_among_equals(
     return (reason,)
 
 
-def _whole_order(plan: Plan, against: Against) -> list[DrawnStart]:
+def _whole_order(plan: Plan, against: LoadedBaseline) -> list[DrawnStart]:
     """Return the order of a plan with as many trials as there can be."""
     from nw_eval.engine.identity import policy_info
     from nw_gate.baseline.match import draw_fresh, draw_trials
 
-    suite, most = plan.suite, against.bank.manifest.starts
+    suite, most = plan.suite, against.results.manifest.starts
     strata = [(scene.name, cell) for scene in plan.scenes for cell in suite.perturb.cells]
     drawn_by = {"candidate": policy_info(plan.bundle).key, "suite_digest": suite.digest}
     if plan.drawn_from is None:

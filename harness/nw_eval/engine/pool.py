@@ -53,7 +53,7 @@ class Workers(Protocol):
         ...
 
     def stop(self) -> None:
-        """Drop the queue and end what runs, now; calling it again does nothing."""
+        """Drop the queue and end running trials; calling it again does nothing."""
         ...
 
 

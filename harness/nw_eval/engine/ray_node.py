@@ -91,7 +91,7 @@ def make_ready(spec: JobSpec, pieces: Mapping[str, Sequence[Any]]) -> None:
     """Get what is missing, and compile what all workers need, as the head does for its own.
 
     Args:
-        spec: of the run.
+        spec: the run's.
         pieces: references of Ray's to the pieces of each file that was missing, by sha256.
 
     Raises:
@@ -157,7 +157,7 @@ class NodeAgent:
     """Runs jobs on a node; an actor of Ray's.
 
     Args:
-        spec: of the run.
+        spec: the run's.
         jobs: one of each scene, for what workers may read.
         workers: how many jobs run at a time.
         fresh: whether each job has a process of its own.
@@ -238,13 +238,13 @@ class NodeAgent:
 
 def _at_home(job: TrialJob, places: Mapping[str, str]) -> TrialJob:
     """Return a job whose references are paths of this node."""
-    checkpoint = None if job.checkpoint is None else here(job.checkpoint, places)
+    checkpoint = None if job.checkpoint is None else local_path(job.checkpoint, places)
     return replace(
         job,
         scene=places.get(job.scene, job.scene),
         policy=places.get(job.policy, job.policy),
         checkpoint=checkpoint,
-        robot_folder=None if job.robot_folder is None else here(job.robot_folder, places),
+        robot_folder=None if job.robot_folder is None else local_path(job.robot_folder, places),
     )
 
 
@@ -282,11 +282,11 @@ class LibraryHere(Library):
 
     def bundle(self, reference: str, checkpoint: Path | None) -> Bundle:
         """Return the bundle of a reference; errors are those of `Library.bundle`."""
-        weights = None if checkpoint is None else here(checkpoint, self._places)
+        weights = None if checkpoint is None else local_path(checkpoint, self._places)
         return super().bundle(self._places.get(reference, reference), weights)
 
 
-def here(path: Path, places: Mapping[str, str]) -> Path:
+def local_path(path: Path, places: Mapping[str, str]) -> Path:
     """Return where on this machine lies what the head calls by a path."""
     return Path(places.get(str(path), path))
 

@@ -65,7 +65,7 @@ class RayProcesses:
     Args:
         plan: what is run.
         jobs: all of the run.
-        folder: of the run.
+        folder: the run's folder.
         joined: the cluster.
         listener: receives nodes that are refused or lost.
 

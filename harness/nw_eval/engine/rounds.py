@@ -49,8 +49,8 @@ class RunStanding:
     """All positions below it are judged."""
     followed: tuple[int, ...] = ()
     """Later positions that are judged for their scenes alone."""
-    ahead: tuple[int, ...] = ()
-    """Places that come next, those that have ended already not among them; none: it is enough,
+    pending: tuple[int, ...] = ()
+    """Positions that come next, those that have ended already not among them; none: it is enough,
     unless a scene is waited for."""
     waits_for: tuple[str, ...] = ()
     """Scenes that hold a PASS back, of which no trial is left to run."""
@@ -153,9 +153,9 @@ class Attempts:
             now = enough(self.ended())
             if now.lacks:
                 return []  # What runs ends, and nothing more begins.
-            if not now.ahead:
+            if not now.pending:
                 return None
-            places = [place for place in now.ahead[: self.workers] if place not in started]
+            places = [place for place in now.pending[: self.workers] if place not in started]
             started.update(places)
             return [self.by_place[place] for place in places]
 

@@ -56,8 +56,8 @@ if TYPE_CHECKING:
 _REPORTS = "reports"
 
 
-class Contest(Protocol):
-    """A run against a baseline, as the loop of `carry_out` asks about it; a context manager."""
+class BaselineComparison(Protocol):
+    """The comparison with a baseline, as `carry_out` uses it; a context manager."""
 
     def __enter__(self) -> object: ...
 
@@ -71,15 +71,15 @@ class Contest(Protocol):
         ...
 
     def next(self, ended: Mapping[int, Row]) -> RunStanding:
-        """Return how it stands, from the rows that have ended by place in the drawn order."""
+        """Return how it stands, from the rows that have ended by index in the drawn order."""
         ...
 
-    def run_beside(self, places: Sequence[int]) -> None:
-        """Run trials of the baseline's own policy at places of the drawn order."""
+    def run_control(self, indexes: Sequence[int]) -> None:
+        """Run trials of the baseline's own policy at indexes of the drawn order."""
         ...
 
     def end(self, run: RunInfo) -> None:
-        """Hear what run.json says in the end."""
+        """Receive run.json after the last trial."""
         ...
 
 
@@ -89,12 +89,12 @@ def carry_out(
     *,
     out: Path | None = None,
     resume: Path | None = None,
-    contest: Contest | None = None,
+    comparison: BaselineComparison | None = None,
     meanwhile: Callable[[], None] | None = None,
 ) -> RunFolder:
     """Run what has no result yet and leave a folder that can be judged, or resumed.
 
-    Against a baseline the contest says after each trial what comes next. Where it needs trials of
+    Against a baseline, `comparison` says after each trial what comes next. Where it needs trials of
     the baseline's own policy, these run between those of the plan.
 
     Args:
@@ -102,7 +102,7 @@ def carry_out(
         how: how it is run.
         out: the run's folder (default: a new one in `reports/`).
         resume: the folder of an interrupted run, whose finished trials are kept.
-        contest: the plan against its baseline; None = all trials run.
+        comparison: the plan against its baseline; None = all trials run.
         meanwhile: called in a thread while trials run in other processes; it raises nothing.
 
     Raises:
@@ -116,22 +116,22 @@ def carry_out(
     interrupts = Interrupts()
     with (
         Session(plan, how, interrupts, out=out, resume=resume, meanwhile=meanwhile) as own,
-        contest or nullcontext(),
+        comparison or nullcontext(),
     ):
-        if contest is not None:
-            own.keep(contest.begin(own, interrupts))
+        if comparison is not None:
+            own.keep(comparison.begin(own, interrupts))
         if (own.info.stop is None or own.info.stop.trials) and not own.info.interrupted:
             # What is enough shows in the order of the whole run only, of which a part has none.
-            enough = None if contest is None or plan.shard else contest.next
+            enough = None if comparison is None or plan.shard else comparison.next
             with interrupts:
                 while (standing := own.run(enough)) is not None and standing.lacks:
-                    assert contest is not None, "only a contest lacks a control's trials"
-                    contest.run_beside(standing.lacks)
+                    assert comparison is not None, "only a comparison can lack trials of a control"
+                    comparison.run_control(standing.lacks)
             own.finish(None if standing is None else stop_of(plan, standing))
         else:
             own.finish(own.info.stop)
-        if contest is not None:
-            contest.end(own.info)
+        if comparison is not None:
+            comparison.end(own.info)
     return own.folder
 
 
@@ -144,7 +144,7 @@ class Session:
     Args:
         plan: what is to be run.
         how: how it is run.
-        interrupts: hears signals while trials run.
+        interrupts: receives signals while trials run.
         out: the run's folder (default: a new one in `reports/`).
         resume: the folder of an interrupted run, whose finished trials are kept.
         meanwhile: called in a thread while trials run in other processes; it raises nothing.
@@ -175,14 +175,14 @@ class Session:
 
     def __enter__(self) -> Self:
         plan, how, told = self._plan, self._how, self._how.told
-        words = told_of_cache()  # Before anything is written, if a size is none.
+        words = told_of_cache()  # Before anything is written, as a size may be invalid.
         if words and not how.uncached:
             told.message(words)
         with ExitStack() as stack:
             self._place = stack.enter_context(worker_pool(how))
             self._builders = stack.enter_context(
                 SplatBuilders(
-                    _in_need(plan) if plan.renders else (),
+                    _scenes_by_first_use(plan) if plan.renders else (),
                     count=worker_count(self._place.workers, len(plan.scenes)),
                     on_demand=not needs_splats_first(plan.bundle.card, plan.suite.record),
                     listener=told,
@@ -265,7 +265,7 @@ class Session:
         self.keep(ended.model_copy(update={"finished": now(), "wall_s": wall}))
 
     def _begun(self) -> Attempts:
-        """Return what makes attempts, with workers, scenes and the cache opened once."""
+        """Return the runner of attempts, with workers, scenes and the cache opened once."""
         if self._attempts is not None:
             return self._attempts
         plan, how, folder, stack = self._plan, self._how, self.folder, self._running
@@ -308,7 +308,7 @@ class Session:
             self._meanwhile()
 
 
-def _in_need(plan: Plan) -> list[Scene]:
+def _scenes_by_first_use(plan: Plan) -> list[Scene]:
     """Return the scenes of a plan in the order in which its trials need them."""
     names = dict.fromkeys(trial.scene for trial in in_order(plan.trials))
     scenes = {scene.name: scene for scene in plan.scenes}
@@ -318,7 +318,7 @@ def _in_need(plan: Plan) -> list[Scene]:
 def _open_backend(
     plan: Plan, listener: Listener, builders: SplatBuilders, *, in_process: bool
 ) -> None:
-    """Compile what draws, casts rays and runs networks, while splats are built beside it."""
+    """Compile the kernels of renderer, rays and networks while splats are built beside it."""
     code = plan.request.allow_code and senses_by_code(plan.bundle.card)
     open_backend(
         plan.render if plan.renders else "cpu",
@@ -370,18 +370,18 @@ def _journal(plan: Plan, folder: RunFolder, info: RunInfo) -> Journal:
     header = journal_header(plan)
     if has_begun(folder.journal):
         journal = Journal.resume(folder.journal, header)
-        _keep_bank(plan, folder)
+        _keep_baseline(plan, folder)
         return journal
-    _keep_bank(plan, folder)
+    _keep_baseline(plan, folder)
     write_run_info(folder.run_json, info)
     return Journal.create(folder.journal, header)
 
 
-def _keep_bank(plan: Plan, folder: RunFolder) -> None:
+def _keep_baseline(plan: Plan, folder: RunFolder) -> None:
     """Copy the baseline that the run is compared with into its folder, if it is not there."""
     if plan.against is None:
         return
-    path = folder.bank(plan.against.info.name)
+    path = folder.baseline_file(plan.against.info.name)
     if not path.exists():
         with atomic_path(path) as temporary:
             temporary.write_bytes(plan.against.content)

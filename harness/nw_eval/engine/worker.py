@@ -248,7 +248,7 @@ class WorkerProcess:
 
 @cache
 def _form() -> TypeAdapter[TrialResult]:
-    """Return what reads results: to make it takes longer than to read hundreds."""
+    """Return the reader of results: making it takes longer than reading hundreds."""
     return TypeAdapter(TrialResult)
 
 

@@ -60,9 +60,9 @@ class WorkerPool:
         """Give what gets workers for the jobs of a plan inside the `with` block.
 
         Args:
-            plan: of the run.
+            plan: the run's.
             jobs: of the plan.
-            folder: of the run.
+            folder: the run's folder.
             listener: told of progress.
             builders: of the splats that processes of this machine do not wait for all.
 
@@ -148,7 +148,7 @@ class InProcessWorkers(QueuedWorkers):
         return self
 
     def finished(self) -> Iterator[Finished | None]:
-        """Run the queued jobs and yield what they come to.
+        """Run the queued jobs and yield their results.
 
         Raises:
             KeyboardInterrupt: Ctrl-C, where the first one is not handled.

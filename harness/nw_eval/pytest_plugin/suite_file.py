@@ -201,7 +201,7 @@ class VerdictItem(SuiteItem):
 
         settings = self.config.stash[SETTINGS]
         if settings.update_baseline:
-            save_bank(self.suite)
+            save_baseline(self.suite)
             return
         judged = self.judged()
         if judged.verdict.verdict == "INCONCLUSIVE":
@@ -249,7 +249,7 @@ def leave_verdicts_out(session: pytest.Session) -> None:
         session.items[:] = [item for item in session.items if item not in left_out]
 
 
-def save_bank(suite: SuiteFile) -> None:
+def save_baseline(suite: SuiteFile) -> None:
     """Save the baseline of a suite; fail if that changed it, so that it is reviewed first."""
     from nw_eval import api
     from nw_eval.pytest_plugin.runs import Log
@@ -279,10 +279,10 @@ def save_bank(suite: SuiteFile) -> None:
         pytest.fail(fault, pytrace=False)
     if saved.action == "unchanged":
         return
-    manifest = saved.bank.manifest
+    manifest = saved.baseline.manifest
     pytest.fail(
         f"{saved.file} is {saved.action}: {manifest.policy.name}, "
-        f"{plural(manifest.starts, 'start')} in each scene\n"
+        f"{plural(manifest.starts, 'initial state')} in each scene\n"
         "Check what has changed, commit it, and run again without --nw-update-baseline.",
         pytrace=False,
     )

@@ -147,12 +147,14 @@ def _beside(verdict: Verdict) -> str:
         return ""
     ours, theirs, trials = found.paired
     if (ours, trials) == (verdict.completed, verdict.n):
-        return f"; baseline {found.bank} completed {theirs} of the same {trials}"
-    return f"; of the {trials} compared it completed {ours}, baseline {found.bank} {theirs}"
+        return f"; baseline {found.baseline_name} completed {theirs} of the same {trials}"
+    return (
+        f"; of the {trials} compared it completed {ours}, baseline {found.baseline_name} {theirs}"
+    )
 
 
 def _success(verdict: Verdict) -> str:
-    """Return mean success, the baseline's in the same scenes, and what is asked of both.
+    """Return mean success, the baseline's in the same scenes, and the gate's limits.
 
     Success is the baseline's less the drop. Where trials that are not compared bear on it too, or
     trials that count less, the drop stands alone, with its trials.
@@ -177,7 +179,7 @@ def _same_policy(found: Comparison | None) -> str:
     """Return what is said where the policy is the baseline's own; nothing of any other."""
     if found is None:
         return ""
-    same = f"same policy as baseline {found.bank}"
+    same = f"same policy as baseline {found.baseline_name}"
     if found.again is not None and found.again.differing:
         return f"{same}, but its results differ from the baseline's"
     if found.is_own:

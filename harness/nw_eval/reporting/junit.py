@@ -239,7 +239,7 @@ def _of_verdict(verdict: Verdict) -> dict[str, str]:
 def _of_comparison(found: Comparison) -> dict[str, str]:
     drops = found.interval
     return {
-        "baseline": found.bank,
+        "baseline": found.baseline_name,
         "baseline_success": f"{found.baseline:.6f}",
         "baseline_effect": f"{found.baseline:.6f}",
         "drop": "" if found.drop is None else f"{found.drop:z.6f}",

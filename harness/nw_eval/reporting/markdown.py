@@ -148,7 +148,7 @@ _BEGINS = re.compile(r"(?:[-+=]+|#+|\d+[.)])(?= |$)")
 """What makes a heading or a list of a line that begins with it; a letter is put before its sign."""
 
 
-def escaped(words: str) -> str:
+def escaped(text: str) -> str:
     """Return words from anywhere (an error's text, a name) as one line of harmless Markdown.
 
     A word that would notify somebody or become a link is set as code, where it does neither; no
@@ -156,13 +156,13 @@ def escaped(words: str) -> str:
     """
     line = " ".join(
         _code(word) if _ACTS.search(word) else _MARKS.sub(r"\\\g<0>", word)
-        for word in clean(words, at_most=_LONGEST).split()
+        for word in clean(text, at_most=_LONGEST).split()
     )
     begins = _BEGINS.match(line)
     return line if begins is None else f"{line[: begins.end() - 1]}\\{line[begins.end() - 1 :]}"
 
 
-def _code(words: str) -> str:
+def _code(text: str) -> str:
     # A backslash before a pipe would leave it to the renderer whether the cell ends there.
-    line = re.sub(r"[`]|\\+(?=\|)", "'", clean(words, at_most=_LONGEST)).replace("|", "\\|")
+    line = re.sub(r"[`]|\\+(?=\|)", "'", clean(text, at_most=_LONGEST)).replace("|", "\\|")
     return f"`{line}`" if line else ""

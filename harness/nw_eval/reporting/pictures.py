@@ -13,8 +13,8 @@ from nw_base.files.cache import atomic_path, followed
 from nw_base.plural import plural
 from nw_eval.reporting.side_by_side import ranks_text
 from nw_gate.side_by_side import PolicyComparison
-from nw_gate.stats.bank.curve import CurvePoint
-from nw_gate.stats.bank.evidence import Margins
+from nw_gate.stats.baseline.curve import CurvePoint
+from nw_gate.stats.baseline.evidence import Margins
 from nw_gate.sweep import AxisCurve
 from nw_sim.axes import axis_named
 
@@ -138,7 +138,7 @@ def draw_comparison(found: PolicyComparison, path: Path) -> None:
 
 def _title(found: PolicyComparison) -> str:
     suite, first = (clean(name, at_most=_NAME) for name in (found.suite, found.policies[0].label))
-    title = f"{suite}: mean success of {plural(found.starts, 'start')}, "
+    title = f"{suite}: mean success of {plural(found.starts, 'initial state')}, "
     title += f"{100 * found.confidence:.4g} % each alone"
     if any(each.shown and each.scene for each in found.partings):
         title += f"\nw2: parts from {first} at waypoint 2 of the scene"
@@ -146,10 +146,10 @@ def _title(found: PolicyComparison) -> str:
 
 
 def _draw_means(axes: Axes, found: PolicyComparison) -> None:
-    for place, each in enumerate(found.policies):
-        axes.plot([place, place], each.interval, color="black", linewidth=1.5)
-        axes.plot(place, each.mean, "o", color="black")
-        axes.annotate(f"{each.mean:.3f}", (place, each.mean), (8, -3), textcoords="offset points")
+    for index, each in enumerate(found.policies):
+        axes.plot([index, index], each.interval, color="black", linewidth=1.5)
+        axes.plot(index, each.mean, "o", color="black")
+        axes.annotate(f"{each.mean:.3f}", (index, each.mean), (8, -3), textcoords="offset points")
     axes.set(ylim=(-0.05, 1.05), ylabel="success")
     axes.grid(axis="y", alpha=0.3)
 
@@ -185,7 +185,7 @@ def draw_curve(points: Sequence[CurvePoint], path: Path, *, margins: Margins, ti
     Args:
         points: of the curve, drops rising.
         path: of the PNG.
-        margins: of the gate.
+        margins: the gate's.
         title: what it is the curve of.
 
     Raises:

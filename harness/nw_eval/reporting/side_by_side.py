@@ -65,8 +65,12 @@ def _policies(found: PolicyComparison) -> Table:
 
 def _met(found: PolicyComparison) -> str:
     """Return which starts the numbers are over."""
-    starts = plural(found.starts, "start")
-    left = f"; {plural(found.left_out, 'start')} of some only left out" if found.left_out else ""
+    starts = plural(found.starts, "initial state")
+    left = (
+        f"; {plural(found.left_out, 'initial state')} of some only left out"
+        if found.left_out
+        else ""
+    )
     if found.unmet:
         every = len(found.unmet) + len(found.scenes)
         left += (
@@ -94,7 +98,7 @@ def _tasks(found: PolicyComparison) -> Table:
             for each in found.tasks
         ),
         numbers=frozenset({"scenes"}),
-        note=f"In brackets what new starts in these scenes may give, {percent} each alone.",
+        note=f"In brackets what new initial states in these scenes may give, {percent} each alone.",
     )
 
 
@@ -129,9 +133,9 @@ def _scores(found: PolicyComparison) -> Table:
             )
             for each in found.scores
         ),
-        note="Means over the same starts as success. In brackets what new starts in these scenes "
-        f"may give, {percent} each alone. A trial in which a score is undefined counts as its "
-        "declaration says.",
+        note="Means over the same initial states as success. In brackets what new initial states "
+        f"in these scenes may give, {percent} each alone. A trial in which a score is undefined "
+        "counts as its declaration says.",
     )
 
 

@@ -41,7 +41,7 @@ def write_sweep(axes: Sequence[Sequence[AxisCurve]], suite: str, out: Path) -> N
 
 
 def sweep_words(curves: Sequence[AxisCurve]) -> list[str]:
-    """Return what the curves of one axis say: cliffs, and where policies part from the first."""
+    """Return what the curves of one axis say: cliffs, and where policies diverge from the first."""
     lines = [line for curve in curves for line in cliff_words(curve)]
     return lines + [parting_words(curves[0], other) for other in curves[1:]]
 
@@ -101,8 +101,8 @@ def parting_words(one: AxisCurve, other: AxisCurve) -> str:
         return f"{both}: {too_few(needed)} for all of one and none of the other"
     if not parted:
         return f"{one.policy} and {other.policy}: at no value do they part beyond chance"
-    words = ", ".join(f"{a.value:g} ({a.share:.2f} and {b.share:.2f})" for a, b in parted)
-    return f"{one.policy} and {other.policy}: different shares complete at {one.axis} {words}"
+    text = ", ".join(f"{a.value:g} ({a.share:.2f} and {b.share:.2f})" for a, b in parted)
+    return f"{one.policy} and {other.policy}: different shares complete at {one.axis} {text}"
 
 
 def sweep_table(curves: Sequence[AxisCurve]) -> Table:
@@ -139,7 +139,7 @@ def sweep_table(curves: Sequence[AxisCurve]) -> Table:
         "Bayesian bootstrap. A cliff is the first value, outwards from the one nearest to neutral, "
         "at which fewer trials complete than there by Fisher's exact test with scenes as strata, "
         "Bonferroni over the values; where not even a fall to none would show, there are too few "
-        "trials to tell. Two policies meet the same starts; two values do not.",
+        "trials to tell. Two policies meet the same initial states; two values do not.",
     )
 
 

@@ -188,12 +188,12 @@ def tier_problems(draft: Draft, selected: Sequence[str], failed: Sequence[str]) 
 def _shadowed(tiers: Sequence[str], selected: Sequence[str]) -> list[tuple[str, str]]:
     """Return each glob whose scenes are all decided by globs before it, and one of these."""
     found: list[tuple[str, str]] = []
-    for place, pattern in enumerate(tiers):
+    for index, pattern in enumerate(tiers):
         scenes = [name for name in selected if fnmatchcase(name, pattern)]
         if pattern in scenes:
             continue  # An exact name wins, wherever it stands.
         winners = [
-            next((before for before in tiers[:place] if fnmatchcase(name, before)), None)
+            next((before for before in tiers[:index] if fnmatchcase(name, before)), None)
             for name in scenes
             if name not in tiers
         ]

@@ -57,7 +57,7 @@ from nw_sim.tasks import BUILT_IN as TASK_CLASSES
 from nw_sim.tasks import COURSE, AnyTask, declared_by, declared_by_kind
 
 MAX_CELLS = 10_000
-"""Most cells that a perturbation grid may have: a longer one is a slip of the pen."""
+"""Most cells that a perturbation grid may have: a longer one is a typo."""
 
 
 @dataclass(frozen=True, kw_only=True)

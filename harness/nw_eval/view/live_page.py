@@ -212,10 +212,10 @@ class LivePage(ServedPage):
         elif clock.monotonic() - self._said_at > _SAID_EVERY or not self.runs:
             self._say("")
 
-    def _announce(self, title: str, words: str) -> None:
-        self._say(words)  # For whoever comes later, too.
+    def _announce(self, title: str, text: str) -> None:
+        self._say(text)  # For whoever comes later, too.
         for client in self.server.get_clients().values():
-            client.add_notification(title, words, auto_close_seconds=10)
+            client.add_notification(title, text, auto_close_seconds=10)
 
     def _say(self, more: str) -> None:
         episode, now = self._stage.trial.episode, clock.monotonic()
@@ -339,7 +339,7 @@ class LivePanel:
     Args:
         page: that they steer; viser's panel there is empty.
         stage: whose axes of perturbation have sliders.
-        heading: what runs, and where.
+        heading: names the policy and the scene.
         has_splat: of the scene.
         save_to: the folder that is proposed.
     """
@@ -376,9 +376,9 @@ class LivePanel:
             folder = gui.add_text("Folder", str(save_to))
             gui.add_button("Save as a suite").on_click(lambda _: page.save(Path(folder.value)))
 
-    def status(self, words: str, *, runs: bool) -> None:
+    def status(self, text: str, *, runs: bool) -> None:
         """Say how things are."""
-        self._status.content = words
+        self._status.content = text
         self._run.label = "Pause" if runs else "Play"
 
     def picture(self, image: NDArray[np.uint8]) -> None:

@@ -100,8 +100,6 @@ class Stage:
         policy: that names the policy there.
 
     Attributes:
-        reference: as given.
-        policy: as given.
         original: the scene as it was.
         trial: as it stands.
         place: with what was done to it.

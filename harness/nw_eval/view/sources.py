@@ -28,7 +28,7 @@ def kind_of(source: str | None, *, policy: str | None, scene: str | None) -> Kin
     Args:
         source: a path, or a name.
         policy: that is named beside it.
-        scene: as above.
+        scene: that is named beside it.
 
     Raises:
         UsageError: it is neither, or one thing too much is named.

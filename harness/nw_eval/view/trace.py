@@ -20,7 +20,7 @@ from nw_sim.rollout.replaying.logged import LoggedTrial, read_logged_trial
 F64 = NDArray[np.float64]
 
 APART = 0.05
-"""Metres between two trunks at one time, from which on the trials have parted."""
+"""Metres between two trunks at one time, from which on the trials have diverged."""
 _TOPICS = ("/scene", "/tf", "/waypoints", "/log", "/robot/joints", "/robot/command", "/nw/policy")
 
 

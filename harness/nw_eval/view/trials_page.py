@@ -149,10 +149,10 @@ class ViewPage(ServedPage):
         aim_along(self.server.initial_camera, np.vstack([first.trunk[:1], way]))
         self._draw_panel("")
 
-    def _note(self, words: str) -> None:
+    def _note(self, text: str) -> None:
         self.server.gui.reset()
         self.show_mesh(self._loaded[1] is None)
-        self._draw_panel(words)
+        self._draw_panel(text)
         self._panel.show(self.time, plays=self.plays)
 
     def _draw_panel(self, note: str) -> None:
@@ -278,7 +278,7 @@ class TrialPanel:
 
 
 def _events_of(traces: Sequence[Trace]) -> list[tuple[float, str]]:
-    """Return what happened in the first of the trials, and where the others part from it."""
+    """Return what happened in the first of the trials, and where the others diverge from it."""
     found = list(traces[0].events)
     for trace in traces[1:]:
         apart = parting(traces[0], trace)

@@ -19,14 +19,16 @@ from nw_gate.baseline.finding import by_place
 from nw_gate.baseline.judge import compare, setup_of
 from nw_gate.baseline.match import known_rows
 from nw_gate.baseline.scores import with_scores
-from nw_gate.results.bank import Against
+from nw_gate.results.baseline import LoadedBaseline
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
 from nw_gate.settings import Gate
 from nw_gate.verdict import Comparison, Verdict, Word
 
 
-def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None) -> Verdict:
+def judge_run(
+    rows: Sequence[Row], run: RunInfo, gate: Gate, against: LoadedBaseline | None
+) -> Verdict:
     """Judge the rows of a run by the bar, and against a baseline if there is one.
 
     Where a result came out otherwise than the cache of trials says, the verdict is INFRASTRUCTURE.
@@ -64,7 +66,9 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
     return replace(verdict, verdict="INFRASTRUCTURE", reasons=reasons)
 
 
-def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None) -> Verdict:
+def _of_rows(
+    rows: Sequence[Row], run: RunInfo, gate: Gate, against: LoadedBaseline | None
+) -> Verdict:
     """Return the verdict on the rows as they are."""
     by_bar = partial(judge, left_out=run.left_out)
     if against is None:
@@ -86,7 +90,7 @@ def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | N
         return replace(verdict, verdict="INVALID", reasons=reasons, against=found)
     planned = run.planned
     if found.again is not None and found.again.taken_over:
-        rows = known_rows(run, against.bank)
+        rows = known_rows(run, against.results)
         planned = Counter(row.scene for row in rows)
         by_bar = partial(judge, left_out=run.left_out)
     verdict = combined(by_bar(rows, gate, planned, against=found), found)
@@ -106,15 +110,15 @@ def _of_machine(verdict: Verdict, found: Comparison, gate: Gate) -> Verdict:
     if gate.success_rate is not None and found.baseline < gate.success_rate:
         return verdict
     why = (
-        f"baseline {found.bank} has success {found.baseline:.3f} for the same policy: this machine "
-        "or version changed, not the policy"
+        f"baseline {found.baseline_name} has success {found.baseline:.3f} for the same policy: "
+        "this machine or version changed, not the policy"
     )
     return replace(verdict, verdict="INVALID", reasons=(why, *verdict.reasons))
 
 
-def _mend(run: RunInfo, against: Against) -> str:
+def _mend(run: RunInfo, against: LoadedBaseline) -> str:
     """Return what to do about a baseline that its own policy contradicts."""
-    suite, manifest = _as_asked(run)[0], against.bank.manifest
+    suite, manifest = _as_asked(run)[0], against.results.manifest
     file = quote(f"{manifest.suite}/{manifest.name}")
     return (
         f"`nw-eval baseline verify {file} --trials 100%` names each row that differs, "
@@ -160,7 +164,7 @@ def combined(verdict: Verdict, comparison: Comparison) -> Verdict:
         comparison: of the same rows with the baseline.
     """
     word = _word(verdict.verdict, comparison.word)
-    # More trials are of no use once the bar has flagged.
+    # More trials change nothing once the bar has flagged.
     more = (comparison.more,) if comparison.more and word == "INCONCLUSIVE" else ()
     reasons = (*comparison.reasons, *more, *verdict.reasons)
     if verdict.verdict == word != comparison.word:
@@ -170,7 +174,7 @@ def combined(verdict: Verdict, comparison: Comparison) -> Verdict:
     return replace(verdict, verdict=word, reasons=once, against=comparison)
 
 
-def without_bank(verdict: Verdict, why: str) -> Verdict:
+def without_baseline(verdict: Verdict, why: str) -> Verdict:
     """Return the verdict on a run that was to be compared with a baseline, and cannot be: INVALID.
 
     Args:
@@ -181,7 +185,9 @@ def without_bank(verdict: Verdict, why: str) -> Verdict:
     return replace(verdict, verdict="INVALID", reasons=(why, *alone))
 
 
-def _drawn(rows: Sequence[Row], run: RunInfo, against: Against, gate: Gate) -> list[Row] | None:
+def _drawn(
+    rows: Sequence[Row], run: RunInfo, against: LoadedBaseline, gate: Gate
+) -> list[Row] | None:
     """Return the rows that bear on a bar, where a part of the trials was enough; else None.
 
     Trials that were followed for their scenes alone are not among them.

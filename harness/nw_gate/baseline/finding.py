@@ -1,7 +1,7 @@
 """What the trials of a run say of its drop, scene by scene and together, before it is worded.
 
 Rows become trials in the order of the draw: what the candidate scored, beside the baseline. The
-scenes of `stats.bank` are strata here: a scene, and what was changed there. Those that are
+scenes of `stats.baseline` are strata here: a scene, and what was changed there. Those that are
 informational are not in it.
 """
 
@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from nw_base.errors import IncomparableError, StoreError
 from nw_base.trials import DrawnStart
 from nw_base.words import Arm
-from nw_gate.results.bank import Panel, Start, Stratum, score
+from nw_gate.results.baseline import Panel, Start, Stratum, score
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
 from nw_gate.settings import Gate
-from nw_gate.stats.bank.baseline_bets import BaselineBets, make_bets
-from nw_gate.stats.bank.evidence import Bank, Margins
-from nw_gate.stats.bank.interval import drop_interval_after, scene_drop_intervals
-from nw_gate.stats.bank.trials import SUSPECT, DrawnTrials, TrialRules, looks, settle
+from nw_gate.stats.baseline.baseline_bets import BaselineBets, make_bets
+from nw_gate.stats.baseline.evidence import Margins, Reference
+from nw_gate.stats.baseline.interval import drop_interval_after, scene_drop_intervals
+from nw_gate.stats.baseline.trials import SUSPECT, DrawnTrials, TrialRules, looks, settle
 from nw_gate.stats.interval import Interval
 from nw_gate.verdict import Basis, Claim
 
@@ -54,7 +54,7 @@ class Met:
     def places(self, judged: Sequence[Stratum]) -> Places:
         """Return the positions of the trials of some strata, in order, shape (T,)."""
         which = set(judged)
-        found = [place for place, (*stratum, _) in enumerate(self.order) if tuple(stratum) in which]
+        found = [index for index, (*stratum, _) in enumerate(self.order) if tuple(stratum) in which]
         return np.array(found, dtype=np.intp)
 
     def ended(self, places: Iterable[int]) -> list[bool]:
@@ -125,13 +125,13 @@ class Met:
         found = (place for place in sorted(places) if self.order[place][:2] == stratum)
         return [row for place in found if self._is_whole(place) and (row := rows[place])]
 
-    def _is_whole(self, place: int) -> bool:
+    def _is_whole(self, index: int) -> bool:
         """Return whether a trial has a result that counts, and its control's has one, too."""
-        known = not isnan(self._score(self.rows[place]))
-        return known and (self.control is None or not isnan(self._score_beside(place)))
+        known = not isnan(self._score(self.rows[index]))
+        return known and (self.control is None or not isnan(self._score_beside(index)))
 
-    def _score_beside(self, place: int) -> float:
-        row = None if self.control is None else self.control[place]
+    def _score_beside(self, index: int) -> float:
+        row = None if self.control is None else self.control[index]
         counted = None if row is None or row.trial_id in self.control_left else self.counted(row)
         return nan if counted is None else counted
 
@@ -205,8 +205,8 @@ class Finding:
     """All positions below it bear on the mean: up to the trial that settled it, or those so far."""
     followed: tuple[int, ...] = ()
     """Later positions that were judged for their scenes alone."""
-    ahead: tuple[int, ...] = ()
-    """Places that come next, as `TrialDecision.ahead`; those of strata that count."""
+    pending: tuple[int, ...] = ()
+    """Positions that come next, as `TrialDecision.pending`; those of strata that count."""
     used: tuple[int, ...] = ()
     """Places of trials of strata that count which were judged, in order."""
     evidence: Mapping[Stratum, float] = field(default_factory=dict)
@@ -269,14 +269,14 @@ def rules_of(gate: Gate, judged: Sequence[Stratum], *, by_rounds: bool = False) 
     )
 
 
-def bank_of(
+def reference_of(
     panel: Panel,
     judged: Sequence[Stratum],
     basis: Basis,
     claim: Claim,
     counted: Counted = score,
     margins: Margins | None = None,
-) -> Bank:
+) -> Reference:
     """Return what is known of the baseline before the first trial.
 
     Args:
@@ -288,17 +288,17 @@ def bank_of(
         margins: of success: bets are then made from the baseline for these.
     """
     if basis == "control":
-        return Bank.control(len(judged))
+        return Reference.control(len(judged))
     scores = np.array([scores_of(panel, stratum, counted) for stratum in judged])
-    bank = Bank.of(scores)
+    reference = Reference.of(scores)
     if margins is not None:
         waypoints = tuple(
             max(1, *(start.waypoints_total for start in panel.by_stratum[stratum]))
             for stratum in judged
         )
         bets = _bets(scores.tobytes(), waypoints, margins, by_start=basis != "fresh")
-        bank = replace(bank, bets=bets)
-    return bank if claim == "panel" else bank.fresh()
+        reference = replace(reference, bets=bets)
+    return reference if claim == "panel" else reference.fresh()
 
 
 @lru_cache(maxsize=8)  # A gate asks after each trial, and they take 50 ms.
@@ -315,11 +315,11 @@ def _bets(
 
 
 def numbers_of(
-    met: Met, judged: Sequence[Stratum], panel: Panel, basis: Basis, bank: Bank
+    met: Met, judged: Sequence[Stratum], panel: Panel, basis: Basis, reference: Reference
 ) -> DrawnTrials:
     """Return the trials of strata that count as numbers, in order, shape (T,)."""
     if basis == "fresh":  # Nothing is known of these starts but the scene.
-        return met.trials(judged, dict(zip(judged, bank.means.tolist(), strict=True)))
+        return met.trials(judged, dict(zip(judged, reference.means.tolist(), strict=True)))
     return met.trials(judged, panel)
 
 
@@ -375,24 +375,24 @@ def find(
         )
     check_level(panel, judged, gate)
     rules = rules_of(gate, judged, by_rounds=by_rounds)
-    bank = bank_of(panel, judged, basis, claim, margins=rules.margins)
-    trials = numbers_of(met, judged, panel, basis, bank)
-    decision = settle(bank, trials, rules, ended)
+    reference = reference_of(panel, judged, basis, claim, margins=rules.margins)
+    trials = numbers_of(met, judged, panel, basis, reference)
+    decision = settle(reference, trials, rules, ended)
     used = [*range(decision.mean), *decision.followed]
     seen = trials.at(used)
     evidence = dict.fromkeys(judged, 1.0)
-    own = looks(bank, seen, rules.margins).own if used else np.empty(0)
+    own = looks(reference, seen, rules.margins).own if used else np.empty(0)
     for which, value in zip(seen.scenes.tolist(), own.tolist(), strict=True):
         evidence[judged[which]] = value
     alphas = {"alpha_pass": rules.alpha_pass, "alpha_regr": rules.alpha_regr}
     # A round that has begun says nothing yet.
     mean = trials.at(range(decision.mean - decision.mean % rules.look_every))
-    regressed = looks(bank, mean, rules.margins).regressed if len(mean.scenes) else np.empty(0)
+    regressed = looks(reference, mean, rules.margins).regressed if len(mean.scenes) else np.empty(0)
     return Finding(
         word="INCONCLUSIVE" if decision.word == "undecided" else decision.word,
         first=int(places[decision.mean - 1]) + 1 if decision.mean else 0,
         followed=tuple(places[list(decision.followed)].tolist()) if decision.followed else (),
-        ahead=tuple(places[list(decision.ahead)].tolist()) if decision.ahead else (),
+        pending=tuple(places[list(decision.pending)].tolist()) if decision.pending else (),
         used=tuple(places[used].tolist()) if used else (),
         evidence=evidence,
         named=tuple(judged[index] for index in decision.named),
@@ -401,26 +401,26 @@ def find(
         mean_regressed=bool(
             (regressed[rules.look_every - 1 :: rules.look_every] >= 1.0 / rules.alpha_regr).any()
         ),
-        drop=_drop(bank, mean),
-        control=_control(mean) if bank.paired else None,
+        drop=_drop(reference, mean),
+        control=_control(mean) if reference.paired else None,
         interval=drop_interval_after(
-            bank, mean, alpha_pass=rules.alpha_pass, alpha_regr=rules.alpha_regr
+            reference, mean, alpha_pass=rules.alpha_pass, alpha_regr=rules.alpha_regr
         )
         if alone
         else None,
-        alone=dict(zip(judged, scene_drop_intervals(bank, seen, **alphas), strict=True))
+        alone=dict(zip(judged, scene_drop_intervals(reference, seen, **alphas), strict=True))
         if alone and used
         else {},
     )
 
 
-def _drop(bank: Bank, trials: DrawnTrials) -> float | None:
+def _drop(reference: Reference, trials: DrawnTrials) -> float | None:
     """Return the mean of how much less each trial scored than the baseline does in its scene.
 
     Beside a control it is of the pairs. The baseline's own result from the same start is left to
     the test: a reader can check this number from the table.
     """
-    known = bank.means[trials.scenes] if not bank.paired else trials.baseline
+    known = reference.means[trials.scenes] if not reference.paired else trials.baseline
     drops = (known - trials.candidate)[~np.isnan(known - trials.candidate)]
     return float(drops.mean()) if drops.size else None
 

@@ -2,9 +2,9 @@
 
 The candidate's rows become trials in the order of the draw (`finding.Met`), these become evidence
 and a word (`finding.find`), and what that may claim depends on what the baseline is to the run
-(`match.basis_of`). Here are also the waypoint at which the candidate parts from the baseline, the
-comparison in words, and what is simulated for a report: other policies at this gate, and this one
-after more trials.
+(`match.basis_of`). Here are also the waypoint at which the candidate diverges from the baseline,
+the comparison in words, and what is simulated for a report: other policies at this gate, and this
+one after more trials.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from nw_base.trials import DrawnStart
 from nw_gate.baseline.finding import (
     Finding,
     Met,
-    bank_of,
     budget_of,
     by_place,
     check_level,
     find,
     margins_of,
     numbers_of,
+    reference_of,
     scores_of,
     strata_that_count,
 )
@@ -38,14 +38,14 @@ from nw_gate.baseline.match import (
     met_others,
     recheck,
 )
-from nw_gate.baseline.power_forecast import Forecast, Outset, about_more_trials, outset_of_bank
-from nw_gate.results.bank import Against, BaselineResults, Panel, Start, Stratum, score
+from nw_gate.baseline.power_forecast import Forecast, Outset, about_more_trials, outset_of_baseline
+from nw_gate.results.baseline import BaselineResults, LoadedBaseline, Panel, Start, Stratum, score
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
 from nw_gate.settings import Gate
-from nw_gate.stats.bank.curve import progress_from
-from nw_gate.stats.bank.interval import drop_interval_after
-from nw_gate.stats.bank.trials import CRITICAL_TRIALS, SUSPECT, most_false_alarms
+from nw_gate.stats.baseline.curve import progress_from
+from nw_gate.stats.baseline.interval import drop_interval_after
+from nw_gate.stats.baseline.trials import CRITICAL_TRIALS, SUSPECT, most_false_alarms
 from nw_gate.stats.hazard import Ends, first_partings
 from nw_gate.stats.interval import Interval
 from nw_gate.validity import over_the_cap, that_left
@@ -60,7 +60,7 @@ class ComparisonSetup:
     """A run against a baseline that holds for it, before anything of its trials is looked at."""
 
     run: RunInfo
-    against: Against
+    against: LoadedBaseline
     gate: Gate
     basis: Basis
     claim: Claim
@@ -76,7 +76,7 @@ class ComparisonSetup:
     """Whether the candidate is the baseline's own policy, with other bits than the baseline's."""
 
     def on(self, rows: Sequence[Row]) -> ComparisonSetup:
-        """Return what compares, once rows show whether the baseline's own policy has its bits here.
+        """Return the setup, once rows show whether the baseline's own policy has its bits here.
 
         Where it has, its results are the baseline's. Where it has not, they are compared with the
         baseline like those of any candidate: what changed is the machine or the version.
@@ -91,9 +91,9 @@ class ComparisonSetup:
         done = [row for row in rows if row.status == "ok"]
         if self.basis != "same" or not done:
             return self
-        has_others = met_others(self.run, self.bank)
+        has_others = met_others(self.run, self.results)
         if not has_others:
-            again = recheck(done, self.run, self.bank)
+            again = recheck(done, self.run, self.results)
             if again.equal or again.differing:
                 return self
         self.check_comparable()
@@ -105,7 +105,7 @@ class ComparisonSetup:
         Raises:
             IncomparableError: as `check_starts` and `check_level`.
         """
-        check_starts(self.bank, self.gate, self.run)
+        check_starts(self.results, self.gate, self.run)
         check_level(self.panel, self.judged, self.gate)
 
     @property
@@ -114,9 +114,9 @@ class ComparisonSetup:
         return (self.run.is_recheck or self.run.goes_by_rounds) and self.run.drawn_from is not None
 
     @property
-    def bank(self) -> BaselineResults:
+    def results(self) -> BaselineResults:
         """The baseline."""
-        return self.against.bank
+        return self.against.results
 
     def met(self, rows: Sequence[Row], *, further: bool = False) -> Met:
         """Return the trials of the budget, with those rows that there are.
@@ -131,7 +131,7 @@ class ComparisonSetup:
         order = self.order
         if further and not self.run.is_recheck:
             rounds = budget_of(self.run)
-            most = max(rounds, min(_FURTHER * rounds, self.bank.manifest.starts))
+            most = max(rounds, min(_FURTHER * rounds, self.results.manifest.starts))
             order = drawn_order(self.run, self.strata, most)
         control, left = None, frozenset[str]()
         if self.basis == "control" and self.against.control is not None:
@@ -162,7 +162,7 @@ class ComparisonSetup:
         )
 
 
-def setup_of(run: RunInfo, against: Against, gate: Gate) -> ComparisonSetup:
+def setup_of(run: RunInfo, against: LoadedBaseline, gate: Gate) -> ComparisonSetup:
     """Return a run against a baseline.
 
     Args:
@@ -174,11 +174,13 @@ def setup_of(run: RunInfo, against: Against, gate: Gate) -> ComparisonSetup:
         IncomparableError: the baseline does not hold for the run, or has too few starts for its
             trials; or it is unchecked on this class of machine; or no scene of it counts.
     """
-    bank = against.bank
-    check_match(run, bank)
+    baseline = against.results
+    check_match(run, baseline)
     known = run.baseline
     is_begun = known is not None and known.sha256 == against.info.sha256
-    basis, panel = basis_of(run, bank, known.checked if known is not None and is_begun else None)
+    basis, panel = basis_of(
+        run, baseline, known.checked if known is not None and is_begun else None
+    )
     left_aside = {start.scene for start in panel.starts} - set(run.scenes)
     panel = replace(panel, starts=tuple(x for x in panel.starts if x.scene in run.scenes))
     strata = tuple(panel.by_stratum)
@@ -189,7 +191,7 @@ def setup_of(run: RunInfo, against: Against, gate: Gate) -> ComparisonSetup:
         against=against,
         gate=gate,
         basis=basis,
-        claim=claim_of(run, bank, basis, rounds, gate),
+        claim=claim_of(run, baseline, basis, rounds, gate),
         panel=panel,
         strata=strata,
         judged=judged,
@@ -199,7 +201,12 @@ def setup_of(run: RunInfo, against: Against, gate: Gate) -> ComparisonSetup:
 
 
 def compare(
-    rows: Sequence[Row], run: RunInfo, against: Against, gate: Gate, *, power_forecast: bool = False
+    rows: Sequence[Row],
+    run: RunInfo,
+    against: LoadedBaseline,
+    gate: Gate,
+    *,
+    power_forecast: bool = False,
 ) -> Comparison:
     """Compare the trials that a run has so far with a baseline.
 
@@ -221,7 +228,7 @@ def compare(
     finding = setup.find(met, alone=power_forecast)
     basis, panel, strata = setup.basis, setup.panel, setup.strata
     used = frozenset(finding.used) | {
-        place for place in range(finding.first) if met.order[place][0] not in _scenes(setup)
+        index for index in range(finding.first) if met.order[index][0] not in _scenes(setup)
     }
     parting = _waypoints(finding.worst, met, used, panel)
     scenes = [
@@ -229,20 +236,20 @@ def compare(
     ]
     margins = margins_of(gate)
     is_own = basis == "same" or setup.is_own
-    meets_starts = is_own and not met_others(run, setup.bank)
+    meets_starts = is_own and not met_others(run, setup.results)
     capped = over_the_cap(rows, met.left, gate)
     critical = sum(gate.tier(scene) == "critical" for scene, _ in setup.judged)
     alpha_pass = 1.0 - gate.confidence
     bars = [gate.success_rate, *(asked.bar for asked in gate.scores.values())]
     comparison = Comparison(
         word="INCONCLUSIVE" if capped else finding.word,
-        bank=setup.bank.manifest.name,
-        policy=setup.bank.manifest.policy.name,
+        baseline_name=setup.results.manifest.name,
+        policy=setup.results.manifest.policy.name,
         basis=basis,
         claim=setup.claim,
         trials=len(finding.used),
         budget=len(met.places(setup.judged)),
-        starts=setup.bank.manifest.starts,
+        starts=setup.results.manifest.starts,
         paired=_paired(setup, met, finding),
         baseline_met=_level_met(setup, met, finding),
         baseline=_level(finding, panel, setup.judged),
@@ -267,7 +274,7 @@ def compare(
         control=0 if met.control is None else sum(row is not None for row in met.control),
         control_drop=_control_drop(setup, met, finding) if power_forecast else None,
         is_own=setup.is_own,
-        again=recheck(rows, run, setup.bank) if meets_starts else None,
+        again=recheck(rows, run, setup.results) if meets_starts else None,
     )
     curve = more = None
     if power_forecast and basis != "same" and not setup.is_own:
@@ -294,16 +301,16 @@ def _control_drop(
     if met.control is None or not places:
         return None
     alone = replace(met, rows=met.control, control=None, left=met.control_left)
-    bank = bank_of(setup.panel, setup.judged, "panel", "fresh")
-    basis: Basis = "fresh" if met_others(setup.run, setup.bank) else "panel"
-    trials = numbers_of(alone, setup.judged, setup.panel, basis, bank)
+    reference = reference_of(setup.panel, setup.judged, "panel", "fresh")
+    basis: Basis = "fresh" if met_others(setup.run, setup.results) else "panel"
+    trials = numbers_of(alone, setup.judged, setup.panel, basis, reference)
     known = {place: index for index, place in enumerate(met.places(setup.judged).tolist())}
     seen = trials.at([known[place] for place in places])
-    drops = bank.means[seen.scenes] - seen.candidate
+    drops = reference.means[seen.scenes] - seen.candidate
     if np.isnan(drops).all():
         return None
     ends = drop_interval_after(
-        bank,
+        reference,
         seen,
         alpha_pass=1.0 - setup.gate.confidence,
         alpha_regr=setup.gate.false_alarm / setup.gate.shared,
@@ -388,7 +395,7 @@ def _waypoints(
     """Return the first waypoint, from 1, of each stratum at which the two part significantly.
 
     The baseline is all of its starts, or the control's trials beside the candidate's; the
-    candidate is the trials judged that came to a result. All strata are looked at together
+    candidate is the trials judged that have a result. All strata are looked at together
     (`stats.hazard`), and some may have none.
 
     Args:
@@ -431,8 +438,8 @@ def _in_words(found: Comparison, finding: Finding) -> tuple[str, ...]:
     if found.basis == "same":
         again = found.again
         if again is None:
-            return (f"same policy as baseline {found.bank}: nothing to compare",)
-        return (f"same policy as baseline {found.bank}: {again.in_words}",)
+            return (f"same policy as baseline {found.baseline_name}: nothing to compare",)
+        return (f"same policy as baseline {found.baseline_name}: {again.in_words}",)
     fallen, mean = _fallen(found), _mean(found)
     if found.is_own and found.word == "REGRESSED":
         mean = _moved(found)
@@ -447,7 +454,11 @@ def _in_words(found: Comparison, finding: Finding) -> tuple[str, ...]:
 
 def _mean(found: Comparison) -> str:
     """Return what was found of the mean."""
-    name, drops, trials = f"baseline {found.bank}", found.interval, plural(found.trials, "trial")
+    name, drops, trials = (
+        f"baseline {found.baseline_name}",
+        found.interval,
+        plural(found.trials, "trial"),
+    )
     if not found.trials or found.drop is None:
         return f"no trial has been compared with {name} yet"
     drop = f"estimated drop from {name}: {found.drop:z.3f} ({trials})"
@@ -489,9 +500,9 @@ def _moved(found: Comparison) -> str:
     assert found.drop is not None, "something was found"
     span = "" if found.interval is None else f", {_range(found.interval)},"
     return (
-        f"this machine or version scores {found.drop:.3f} less than baseline {found.bank}{span} "
-        f"({plural(found.trials, 'trial')} of the same policy): no candidate can be judged here; "
-        "find what changed, or save the baseline again"
+        f"this machine or version scores {found.drop:.3f} less than baseline "
+        f"{found.baseline_name}{span} ({plural(found.trials, 'trial')} of the same policy): no "
+        "candidate can be judged here; find what changed, or save the baseline again"
     )
 
 
@@ -545,7 +556,7 @@ def _waiting(found: Comparison, finding: Finding) -> Iterable[str]:
             f"PASS is withheld: the mean passes, but critical {_scenes_named(critical)} "
             f"{CRITICAL_TRIALS} trials"
         )
-    if waited and not finding.ahead:
+    if waited and not finding.pending:
         yield "this run has no trial of it left" if len(waited) == 1 else _NONE_LEFT
 
 
@@ -611,7 +622,7 @@ def _power_forecast(
         gate: margins, errors and tiers.
     """
     against = "control" if found.basis == "control" else found.claim
-    outset = outset_of_bank(panel, gate, budget=found.budget, against=against)
+    outset = outset_of_baseline(panel, gate, budget=found.budget, against=against)
     is_open = found.word == "INCONCLUSIVE" and found.trials > 0
     more = _more(met, judged, panel, found, outset) if is_open else None
     return outset.power_forecast(), more
@@ -621,10 +632,10 @@ def _more(
     met: Met, judged: Sequence[Stratum], panel: Panel, found: Comparison, outset: Outset
 ) -> str:
     rules = outset.rules
-    bank = bank_of(panel, judged, found.basis, found.claim, margins=rules.margins)
+    reference = reference_of(panel, judged, found.basis, found.claim, margins=rules.margins)
     progress = progress_from(
-        bank,
-        numbers_of(met, judged, panel, found.basis, bank),
+        reference,
+        numbers_of(met, judged, panel, found.basis, reference),
         rules,
         known=met.ended(met.places(judged).tolist()),
         seen=outset.seen,

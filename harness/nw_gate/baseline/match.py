@@ -19,7 +19,7 @@ from nw_base.errors import IncomparableError, StoreError
 from nw_base.plural import plural
 from nw_base.trials import DrawnStart, cells_of, digest_of_trials, expand
 from nw_base.words import Tier
-from nw_gate.results.bank import (
+from nw_gate.results.baseline import (
     BaselineResults,
     Panel,
     Start,
@@ -31,13 +31,13 @@ from nw_gate.results.bank import (
 from nw_gate.results.provenance import PolicyInfo, RunInfo
 from nw_gate.results.row import Row, from_dict
 from nw_gate.settings import Gate, tier_of
-from nw_gate.stats.bank.trials import order_of_starts, order_of_trials
+from nw_gate.stats.baseline.trials import order_of_starts, order_of_trials
 from nw_gate.verdict import Basis, Claim, Recheck
 
 _NAMED = 3  # scenes or trials, and values of each, that a sentence names before it says "and more"
 
 
-def check_match(run: RunInfo, bank: BaselineResults) -> None:
+def check_match(run: RunInfo, baseline: BaselineResults) -> None:
     """Refuse a baseline that does not hold for a run.
 
     A run on a fresh seed set differs in its seed, and may; one that was asked for some scenes only
@@ -47,63 +47,63 @@ def check_match(run: RunInfo, bank: BaselineResults) -> None:
         IncomparableError: naming every field that differs.
     """
     faults = [
-        *_suite_faults(run, bank),
-        *_scene_faults(run, bank),
-        *_simulator_faults(run, bank),
-        *_score_faults(run, bank),
+        *_suite_faults(run, baseline),
+        *_scene_faults(run, baseline),
+        *_simulator_faults(run, baseline),
+        *_score_faults(run, baseline),
     ]
     if faults:
         raise IncomparableError(
-            f"baseline {bank.manifest.name} is not compatible with run {run.id}: "
+            f"baseline {baseline.manifest.name} is not compatible with run {run.id}: "
             f"{'; '.join(faults)}",
-            fix=f"renew the baseline with `{renewing(run, bank)}`",
+            fix=f"renew the baseline with `{renewing(run, baseline)}`",
         )
 
 
-def renewing(run: RunInfo, bank: BaselineResults, *options: str) -> str:
+def renewing(run: RunInfo, baseline: BaselineResults, *options: str) -> str:
     """Return the command that makes a baseline anew for the suite of a run.
 
     Args:
         run: the run.
-        bank: the baseline.
+        baseline: the baseline.
         options: what the command is to say besides, in place of --renew.
     """
-    suite, policy = bank.manifest.suite, bank.manifest.policy.typed
+    suite, policy = baseline.manifest.suite, baseline.manifest.policy.typed
     if run.request is not None:
         suite = str(run.request.suite or suite)
         policy = run.request.baseline_policy or policy
-    return saving(bank, suite, policy, *options)
+    return saving(baseline, suite, policy, *options)
 
 
-def saving(bank: BaselineResults, suite: str, policy: str, *options: str) -> str:
+def saving(baseline: BaselineResults, suite: str, policy: str, *options: str) -> str:
     """Return the command that renews a suite's baseline, from a policy as it can be typed."""
-    own = bank.manifest.name
-    name = [] if own == bank.manifest.policy.name else ["--name", own]
+    own = baseline.manifest.name
+    name = [] if own == baseline.manifest.policy.name else ["--name", own]
     words = ["nw-eval", "baseline", "save", suite, "--policy", policy, *(options or ["--renew"])]
     return " ".join(quote(word) for word in [*words, *name])
 
 
-def _suite_faults(run: RunInfo, bank: BaselineResults) -> Iterable[str]:
-    ours, theirs = key_of(run), bank.manifest.key
-    if ours.seed != theirs.seed and run.panel == "pinned" and not bank.manifest.held_out:
+def _suite_faults(run: RunInfo, baseline: BaselineResults) -> Iterable[str]:
+    ours, theirs = key_of(run), baseline.manifest.key
+    if ours.seed != theirs.seed and run.panel == "pinned" and not baseline.manifest.held_out:
         yield f"its seed is {ours.seed}, the baseline's {theirs.seed}"
     if ours.protocol != theirs.protocol:
         yield f"its protocol is {ours.protocol}, the baseline's {theirs.protocol}"
     if ours.seed == theirs.seed and run.panel == "fresh":
-        yield f"its seed {ours.seed} is the baseline's, so its starts are not fresh"
+        yield f"its seed {ours.seed} is the baseline's, so its initial states are not fresh"
     if ours.suite_digest == theirs.suite_digest:
         return
     # Whatever differs besides seed and protocol is in the digest alone.
     alike = {**run.suite, "seed": theirs.seed, "protocol": theirs.protocol}
     if digest_of_trials(alike) != theirs.suite_digest:
         digests = f"{ours.suite_digest[:8]}, the baseline's {theirs.suite_digest[:8]}"
-        yield f"its suite digest is {digests}: {_what_else(run, bank)}"
+        yield f"its suite digest is {digests}: {_what_else(run, baseline)}"
 
 
-def _what_else(run: RunInfo, bank: BaselineResults) -> str:
+def _what_else(run: RunInfo, baseline: BaselineResults) -> str:
     """Return which settings differ, as far as a baseline knows its own."""
     ours = sorted(cells_of(run.suite["perturb"]))
-    theirs = sorted({cell for _, cell in bank.panels[0].by_stratum})
+    theirs = sorted({cell for _, cell in baseline.panels[0].by_stratum})
     if ours == theirs:
         return "robot, task, episode, pictures or version of a plug-in differ"
     return f"perturb is {_cells(ours)}, the baseline's {_cells(theirs)}"
@@ -115,8 +115,8 @@ def _cells(cells: list[tuple[tuple[str, float], ...]]) -> str:
     )
 
 
-def _scene_faults(run: RunInfo, bank: BaselineResults) -> Iterable[str]:
-    ours, theirs = key_of(run).scenes, bank.manifest.key.scenes
+def _scene_faults(run: RunInfo, baseline: BaselineResults) -> Iterable[str]:
+    ours, theirs = key_of(run).scenes, baseline.manifest.key.scenes
     if unknown := sorted(set(ours) - set(theirs)):
         yield f"{_scenes(unknown)} not in the baseline"
     restricted = run.request is not None and run.request.scenes is not None
@@ -136,19 +136,19 @@ def _scenes(names: list[str]) -> str:
     return f"scene{plural} {', '.join(names[:_NAMED])}{more} {'are' if plural else 'is'}"
 
 
-def _simulator_faults(run: RunInfo, bank: BaselineResults) -> Iterable[str]:
-    ours, theirs = key_of(run).simulator, bank.manifest.key.simulator
+def _simulator_faults(run: RunInfo, baseline: BaselineResults) -> Iterable[str]:
+    ours, theirs = key_of(run).simulator, baseline.manifest.key.simulator
     for name in sorted({*ours, *theirs}):
         if ours.get(name) != theirs.get(name):
             there = theirs.get(name, "none")
             yield f"its {name} is {ours.get(name, 'none')}, the baseline's {there}"
 
 
-def _score_faults(run: RunInfo, bank: BaselineResults) -> Iterable[str]:
-    ours, theirs = key_of(run).measured, bank.manifest.key.measured
+def _score_faults(run: RunInfo, baseline: BaselineResults) -> Iterable[str]:
+    ours, theirs = key_of(run).measured, baseline.manifest.key.measured
     for key in sorted(ours):
         name = key.partition(".")[2]
-        if name in bank.manifest.scores and ours[key] != theirs.get(key):
+        if name in baseline.manifest.scores and ours[key] != theirs.get(key):
             there = theirs.get(key, "unknown")
             yield f"its {key} is {_short(ours[key])}, the baseline's {_short(there)}"
 
@@ -161,42 +161,44 @@ def _short(identity: str) -> str:
 _NOTHING = sha256(b"").hexdigest()
 
 
-def basis_of(run: RunInfo, bank: BaselineResults, checked: str | None) -> tuple[Basis, Panel]:
+def basis_of(run: RunInfo, baseline: BaselineResults, checked: str | None) -> tuple[Basis, Panel]:
     """Return what the baseline is to the run's trials, and its results that are compared.
 
     Args:
         run: on the baseline's suite and simulator (`check_match`).
-        bank: of the baseline.
+        baseline: to compare with.
         checked: what trials of the baseline have shown on this class of machine.
 
     Raises:
         IncomparableError: the baseline has no results from this class of machine, and none
             was checked.
     """
-    panel = bank.panel_of(machine_of(run))
-    if is_baseline(run.policy, bank):
-        return "same", panel or bank.panels[0]
+    panel = baseline.panel_of(machine_of(run))
+    if is_baseline(run.policy, baseline):
+        return "same", panel or baseline.panels[0]
     if panel is None and checked not in {"bits", "control"}:
         raise IncomparableError(
-            f"baseline {bank.manifest.name} has no results from this class of machine "
-            f"({_unlike(run, bank)}), and no trial of the baseline has been run on it",
-            fix=f"`nw-eval run --baseline {bank.manifest.name}` runs some first, or add this "
+            f"baseline {baseline.manifest.name} has no results from this class of machine "
+            f"({_unlike(run, baseline)}), and no trial of the baseline has been run on it",
+            fix=f"`nw-eval run --baseline {baseline.manifest.name}` runs some first, or add this "
             "machine's results "
-            f"with `{renewing(run, bank)}`",
+            f"with `{renewing(run, baseline)}`",
         )
     if panel is None and checked == "control":
-        return "control", bank.panels[0]
-    if met_others(run, bank):
-        return "fresh", panel or bank.panels[0]
-    return "panel", panel or bank.panels[0]
+        return "control", baseline.panels[0]
+    if met_others(run, baseline):
+        return "fresh", panel or baseline.panels[0]
+    return "panel", panel or baseline.panels[0]
 
 
-def met_others(run: RunInfo, bank: BaselineResults) -> bool:
+def met_others(run: RunInfo, baseline: BaselineResults) -> bool:
     """Return whether the run's trials are of other starts than the baseline's."""
-    return run.panel == "fresh" or key_of(run).seed != bank.manifest.key.seed
+    return run.panel == "fresh" or key_of(run).seed != baseline.manifest.key.seed
 
 
-def claim_of(run: RunInfo, bank: BaselineResults, basis: Basis, rounds: int, gate: Gate) -> Claim:
+def claim_of(
+    run: RunInfo, baseline: BaselineResults, basis: Basis, rounds: int, gate: Gate
+) -> Claim:
     """Return of which starts a comparison speaks: of fresh ones, unless the suite says otherwise.
 
     Of the seed set itself it may only where the order was drawn for this candidate from all of it:
@@ -207,45 +209,47 @@ def claim_of(run: RunInfo, bank: BaselineResults, basis: Basis, rounds: int, gat
         IncomparableError: the baseline has fewer starts than were drawn, or `gate.claim` is panel
             where none were.
     """
-    has, is_drawn = bank.manifest.starts, basis == "panel" and run.drawn_from is not None
+    has, is_drawn = baseline.manifest.starts, basis == "panel" and run.drawn_from is not None
     needs = max(rounds if is_drawn else 0, run.drawn_from or 0)
     if basis != "same" and has < needs:
         raise IncomparableError(
-            f"baseline {bank.manifest.name} has {has} starts in each scene; the run needs {needs}",
-            fix=f"save them with `{renewing(run, bank, '--trials', str(needs))}`, or run fewer "
+            f"baseline {baseline.manifest.name} has {has} initial states in each scene; the run "
+            f"needs {needs}",
+            fix=f"save them with `{renewing(run, baseline, '--trials', str(needs))}`, or run fewer "
             "--trials",
         )
     if basis in {"panel", "fresh"} and gate.claim == "fresh":
-        check_starts(bank, gate, run)
+        check_starts(baseline, gate, run)
     if gate.claim == "fresh" or basis == "same":
         return "fresh"
     if is_drawn and run.drawn_from == has:
         return "panel"
     raise IncomparableError(
         f"gate.claim is panel, but the candidate's initial states were not drawn for it from "
-        f"all {has} of baseline {bank.manifest.name} on a machine that it knows",
+        f"all {has} of baseline {baseline.manifest.name} on a machine that it knows",
         fix="write `claim: fresh`",
     )
 
 
-def check_starts(bank: BaselineResults, gate: Gate, run: RunInfo) -> None:
+def check_starts(baseline: BaselineResults, gate: Gate, run: RunInfo) -> None:
     """Refuse a baseline whose sample is too small for a claim about new starts.
 
     Raises:
         IncomparableError: naming the command that saves more.
     """
-    has, least = bank.manifest.starts, gate.least_starts
+    has, least = baseline.manifest.starts, gate.least_starts
     if has < least:
         raise IncomparableError(
-            f"baseline {bank.manifest.name} has {plural(has, 'start')} in each scene; a claim "
-            f"about new starts needs {least}, or its errors are larger than they say",
-            fix=f"save them with `{renewing(run, bank, '--trials', str(least))}`",
+            f"baseline {baseline.manifest.name} has {plural(has, 'initial state')} in each "
+            f"scene; a claim about new initial states needs {least}, or "
+            "its errors are larger than they say",
+            fix=f"save them with `{renewing(run, baseline, '--trials', str(least))}`",
         )
 
 
-def is_baseline(policy: PolicyInfo, bank: BaselineResults) -> bool:
+def is_baseline(policy: PolicyInfo, baseline: BaselineResults) -> bool:
     """Return whether a policy is the baseline itself, as far as its digests can say."""
-    theirs = bank.manifest.policy
+    theirs = baseline.manifest.policy
     # An object in a process has whatever name its caller gives it; some servers give no digest.
     anonymous = policy.adapter == "remote" and policy.checkpoint_digest == _NOTHING
     verified = re.fullmatch("[0-9a-f]{64}", policy.checkpoint_digest) and not anonymous
@@ -253,7 +257,7 @@ def is_baseline(policy: PolicyInfo, bank: BaselineResults) -> bool:
     return bool(verified) and ours == (theirs.checkpoint_digest, theirs.card_digest)
 
 
-def _unlike(run: RunInfo, bank: BaselineResults) -> str:
+def _unlike(run: RunInfo, baseline: BaselineResults) -> str:
     """Return in what this class of machine differs from the baseline's nearest one."""
     ours = machine_of(run)
     differing = [
@@ -262,7 +266,7 @@ def _unlike(run: RunInfo, bank: BaselineResults) -> str:
             for name in sorted({*ours, *panel.machine})
             if ours.get(name) != panel.machine.get(name)
         ]
-        for panel in bank.panels
+        for panel in baseline.panels
     ]
     return ", ".join(min(differing, key=len))
 
@@ -417,7 +421,7 @@ class _Asked:
         return tier_of(scene, self._tiers)
 
 
-def known_rows(run: RunInfo, bank: BaselineResults) -> tuple[Row, ...]:
+def known_rows(run: RunInfo, baseline: BaselineResults) -> tuple[Row, ...]:
     """Return a baseline's results as rows, taken over (`Row.cached`): they cost this run no time.
 
     They are for judging only. What a baseline does not hold of a trial, its steps and digests, they
@@ -425,11 +429,11 @@ def known_rows(run: RunInfo, bank: BaselineResults) -> tuple[Row, ...]:
 
     Args:
         run: of the baseline's own policy.
-        bank: which fits the run: the results of its class of machine, or else the first.
+        baseline: which fits the run: the results of its class of machine, or else the first.
     """
-    panel = bank.panel_of(machine_of(run)) or bank.panels[0]
+    panel = baseline.panel_of(machine_of(run)) or baseline.panels[0]
     starts = {(*start.stratum, start.seed_index): start for start in panel.starts}
-    suite = _Asked(run, bank.manifest.starts)
+    suite = _Asked(run, baseline.manifest.starts)
     scenes = [_Place(name=name, task=s.task, digest=s.digest) for name, s in run.scenes.items()]
     rows: list[Row] = []
     for trial in expand(suite, scenes):
@@ -461,7 +465,7 @@ def known_rows(run: RunInfo, bank: BaselineResults) -> tuple[Row, ...]:
     return tuple(rows)
 
 
-def recheck(rows: Sequence[Row], run: RunInfo, bank: BaselineResults) -> Recheck:
+def recheck(rows: Sequence[Row], run: RunInfo, baseline: BaselineResults) -> Recheck:
     """Compare trials of the baseline's own policy with what the baseline says of these starts.
 
     On a class of machine that the baseline has been run on, values and bits must be equal. On
@@ -471,26 +475,27 @@ def recheck(rows: Sequence[Row], run: RunInfo, bank: BaselineResults) -> Recheck
     Args:
         rows: of the run, whose policy is the baseline's by its digests, on the pinned seed set.
         run: what they are of.
-        bank: of the baseline.
+        baseline: to compare with.
 
     Raises:
         StoreError: a row is of no start of the baseline.
     """
-    seen = bank.panel_of(machine_of(run))
+    seen = baseline.panel_of(machine_of(run))
     done = [row for row in rows if row.status == "ok"]
     # The results that `known_rows` uses.
-    panel = seen or bank.panels[0]
+    panel = seen or baseline.panels[0]
     differing = differences(done, panel)
     ran = {(row.scene, row.perturbation) for row in done if not row.cached}
     strata = {(row.scene, row.perturbation) for row in rows}
     planned = sum(run.planned.values())
-    wrong = contradictions(done, bank, panel)
+    wrong = contradictions(done, baseline, panel)
     if differing and seen is not None:
         count = f"{len(differing)} of {plural(len(done), 'trial')}"
         more = len(differing) - _NAMED
+        name = baseline.manifest.name
         rest = f"and {plural(more, 'more trial')}; `nw-eval baseline verify` names all"
         wrong = (
-            f"the baseline {bank.manifest.name} is not what its own policy does: {count} differ",
+            f"the baseline {name} is not what its own policy does: {count} differ",
             *differing[:_NAMED],
             *([rest] if more > 0 else []),
         )
@@ -507,14 +512,14 @@ def recheck(rows: Sequence[Row], run: RunInfo, bank: BaselineResults) -> Recheck
     )
 
 
-def contradictions(rows: Iterable[Row], bank: BaselineResults, panel: Panel) -> tuple[str, ...]:
+def contradictions(rows: Iterable[Row], baseline: BaselineResults, panel: Panel) -> tuple[str, ...]:
     """Return sentences where trials have the bits of a baseline, and another result; or nothing.
 
     The same states and actions are the same trial: its result is no matter of the machine.
 
     Args:
         rows: with results, of the baseline's own policy.
-        bank: of the baseline.
+        baseline: to compare with.
         panel: of it.
 
     Raises:
@@ -524,7 +529,7 @@ def contradictions(rows: Iterable[Row], bank: BaselineResults, panel: Panel) -> 
     found = differences(same, panel)
     if not found:
         return ()
-    own = bank.manifest.policy.name
+    own = baseline.manifest.policy.name
     first = f"the baseline is not what its own policy {own} does: the same bits, other results"
     return (first, *found[:_NAMED])
 
@@ -578,8 +583,8 @@ def _start_of(row: Row, panel: Panel) -> Start:
     starts = panel.by_stratum.get((row.scene, row.perturbation), ())
     if not 0 <= row.seed_index < len(starts):
         raise StoreError(
-            f"trial {row.trial_id} is of no start of the baseline, which has {len(starts)} in "
-            "its scene",
+            f"trial {row.trial_id} has no initial state of the baseline, which has {len(starts)} "
+            "in its scene",
             fix="judge the run against the baseline that it was begun with",
         )
     return starts[row.seed_index]

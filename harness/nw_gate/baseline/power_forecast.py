@@ -18,18 +18,18 @@ from nw_base.trials import DrawnStart
 from nw_gate.absolute import percent, trials_to_pass
 from nw_gate.baseline.finding import (
     Met,
-    bank_of,
     margins_of,
     numbers_of,
+    reference_of,
     rules_of,
     strata_that_count,
 )
-from nw_gate.results.bank import Panel, Start, Stratum, score
+from nw_gate.results.baseline import Panel, Start, Stratum, score
 from nw_gate.results.row import Row
 from nw_gate.settings import Gate
-from nw_gate.stats.bank.curve import (
+from nw_gate.stats.baseline.curve import (
     KINDS,
-    Against,
+    ComparisonKind,
     CurvePoint,
     Progress,
     operating_curve,
@@ -37,11 +37,12 @@ from nw_gate.stats.bank.curve import (
     success_of,
     trials_for,
 )
-from nw_gate.stats.bank.trials import TrialRules, settle
+from nw_gate.stats.baseline.trials import TrialRules, settle
 from nw_gate.stats.power import SceneCounts
 
 NOTHING_MORE = (
-    "every start of the baseline was met: a baseline with more starts, and as many trials, goes on"
+    "every initial state of the baseline was met: a baseline with more initial states, and as many "
+    "trials, goes on"
 )
 _SO_FAR = "if the candidate is as it looks so far"
 Forecast = tuple[tuple[CurvePoint, ...], tuple[CurvePoint, ...], tuple[CurvePoint, ...]]
@@ -51,7 +52,7 @@ _FEW = 400
 """Simulated gates where a report waits for them: the standard error is at most 2.5 %."""
 
 _FEWEST, _DRAWS = 200, 2_000_000
-"""Of banks with many thousand starts: at most 3.5 %, and as many starts drawn in all."""
+"""Of baselines with many thousand starts: at most 3.5 %, and as many starts drawn in all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +68,7 @@ class Outset:
     """M."""
     known: bool
     """Whether `seen` is the baseline; else baselines are drawn from it."""
-    against: Against = "fresh"
+    against: ComparisonKind = "fresh"
     """What the gate speaks of, and what it compares with."""
 
     @property
@@ -124,8 +125,8 @@ class Outset:
         return None if self.known else self.starts
 
 
-def outset_of_bank(
-    panel: Panel, gate: Gate, *, budget: int | None = None, against: Against = "fresh"
+def outset_of_baseline(
+    panel: Panel, gate: Gate, *, budget: int | None = None, against: ComparisonKind = "fresh"
 ) -> Outset:
     """Return the outset of a gate against a baseline.
 
@@ -158,7 +159,7 @@ def outset_of_rows(rows: Iterable[Row], gate: Gate, starts: int) -> Outset:
 
     Raises:
         StoreError: no trial of the run has a result.
-        IncomparableError: as `outset_of_bank`.
+        IncomparableError: as `outset_of_baseline`.
     """
     groups: dict[Stratum, list[Row]] = {}
     for row in rows:
@@ -201,16 +202,14 @@ def about_more_trials(progress: Progress) -> str:
         return NOTHING_MORE
     half, most = trials_for(settled, 0.5), trials_for(settled, 0.9)
     first = left if half is None else half
-    words = (
-        f"{_SO_FAR}, about {plural(first, 'more trial')} {'decides' if first == 1 else 'decide'}"
-    )
+    text = f"{_SO_FAR}, about {plural(first, 'more trial')} {'decides' if first == 1 else 'decide'}"
     if half is None:
-        return f"{words} with {percent(settled[-1])} probability"
+        return f"{text} with {percent(settled[-1])} probability"
     if half == most:
-        return f"{words} with 90 % probability"
+        return f"{text} with 90 % probability"
     if most is None:
-        return f"{words} with 50 % probability, {left} with {percent(settled[-1])}"
-    return f"{words} with 50 % probability, {most} with 90 %"
+        return f"{text} with 50 % probability, {left} with {percent(settled[-1])}"
+    return f"{text} with 50 % probability, {most} with 90 %"
 
 
 def _outset(
@@ -266,10 +265,10 @@ def trials_to_pass_baseline(
     met = Met(order=order, rows=[None] * len(order))
     basis = "fresh" if fresh else "panel"
     claim = gate.claim if not fresh else "fresh"
-    bank = bank_of(panel, judged, basis, claim, margins=margins_of(gate))
-    trials = numbers_of(met, judged, panel, basis, bank)
+    reference = reference_of(panel, judged, basis, claim, margins=margins_of(gate))
+    trials = numbers_of(met, judged, panel, basis, reference)
     perfect = replace(trials, candidate=np.ones(len(trials.scenes)))
-    decision = settle(bank, perfect, rules_of(gate, judged))
+    decision = settle(reference, perfect, rules_of(gate, judged))
     return decision.trials if decision.word == "PASS" else None
 
 

@@ -6,7 +6,7 @@ trial runs. Scaled to [0, 1], 1 the best, it is judged as success is:
 * *bar*: the lower bound of its mean at `gate.confidence` must reach the bar to PASS, and the upper
   one be below it to be REGRESSED (`stats.betting`).
 * *max_drop*: the interval of its drop against the baseline, of the same starts and the same claim
-  as that of success (`stats.bank.interval`), must end below `max_drop` to PASS, and begin above
+  as that of success (`stats.baseline.interval`), must end below `max_drop` to PASS, and begin above
   `tolerate` to be REGRESSED.
 
 A critical scene flags by a score alone as it does by success: its own upper bound is below the
@@ -30,32 +30,32 @@ from numpy.typing import NDArray
 from nw_base.plural import plural
 from nw_gate.baseline.finding import (
     Met,
-    bank_of,
     numbers_of,
+    reference_of,
     scores_of,
     strata_that_count,
 )
 from nw_gate.baseline.judge import ComparisonSetup, setup_of
 from nw_gate.baseline.match import renewing
-from nw_gate.results.bank import Against, BaselineResults, Start, Stratum
+from nw_gate.results.baseline import BaselineResults, LoadedBaseline, Start, Stratum
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
 from nw_gate.scores import ScoreSpec
 from nw_gate.settings import Gate, ScoreGate
-from nw_gate.stats.bank.evidence import Bank
-from nw_gate.stats.bank.interval import (
+from nw_gate.stats.baseline.evidence import Reference
+from nw_gate.stats.baseline.interval import (
     drop_interval_after,
     drops_ruled_out,
     scene_drop_intervals,
 )
-from nw_gate.stats.bank.trials import DrawnTrials
+from nw_gate.stats.baseline.trials import DrawnTrials
 from nw_gate.stats.betting import lower_bound, upper_bound
 from nw_gate.stats.interval import Interval
 from nw_gate.verdict import ScoreFinding, Verdict, Word, percent_sure
 
 
 def with_scores(
-    verdict: Verdict, rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None
+    verdict: Verdict, rows: Sequence[Row], run: RunInfo, gate: Gate, against: LoadedBaseline | None
 ) -> Verdict:
     """Return a verdict with the scores of its trials, and with what `gate.scores` makes of it.
 
@@ -195,9 +195,9 @@ def _finding(
     return replace(found, word=word, reasons=tuple(reasons))
 
 
-def lacks_score(bank: BaselineResults, name: str) -> str:
+def lacks_score(baseline: BaselineResults, name: str) -> str:
     """Return that a baseline was saved before its suite measured a score."""
-    return f"the baseline {bank.manifest.name} has no {name}"
+    return f"the baseline {baseline.manifest.name} has no {name}"
 
 
 def _arrays(groups: Mapping[str, Sequence[float]]) -> list[NDArray[np.float64]]:
@@ -264,7 +264,7 @@ def _fallen_alone(
     max_drop: float,
     gate: Gate,
     judged: Sequence[Stratum],
-    bank: Bank,
+    reference: Reference,
     seen: DrawnTrials,
 ) -> list[str]:
     """Return a sentence for each critical scene whose own drop is certainly over `max_drop`.
@@ -276,7 +276,7 @@ def _fallen_alone(
         return []
     alpha = gate.false_alarm / gate.shared / len(judged)
     own = seen.at(np.flatnonzero(np.isin(seen.scenes, critical)).tolist())
-    drops = scene_drop_intervals(bank, own, alpha_pass=1.0 - gate.confidence, alpha_regr=alpha)
+    drops = scene_drop_intervals(reference, own, alpha_pass=1.0 - gate.confidence, alpha_regr=alpha)
     unit = f" {spec.unit}" if spec.unit else ""
     found: list[str] = []
     for place in critical:
@@ -286,7 +286,7 @@ def _fallen_alone(
         scene, changed = judged[place]
         name = " ".join([scene, *(f"{axis} {value:g}" for axis, value in changed)])
         there = own.at(np.flatnonzero(own.scenes == place).tolist())
-        before = there.baseline if bank.paired else bank.means[there.scenes]
+        before = there.baseline if reference.paired else reference.means[there.scenes]
         pairs = ~np.isnan(before - there.candidate)
         was, now = (spec.unscaled(float(each[pairs].mean())) for each in (before, there.candidate))
         found.append(
@@ -308,24 +308,24 @@ def _by_baseline(
     """Return what the trials say of a score's change against the baseline."""
     spec = found.spec
     name, unit = spec.name, f" {spec.unit}" if spec.unit else ""
-    if setup.basis != "control" and name not in setup.bank.manifest.scores:
-        why = f"{lacks_score(setup.bank, name)}: save it again with "
-        return "INVALID", f"{why}`{renewing(setup.run, setup.bank)}`", found
+    if setup.basis != "control" and name not in setup.results.manifest.scores:
+        why = f"{lacks_score(setup.results, name)}: save it again with "
+        return "INVALID", f"{why}`{renewing(setup.run, setup.results)}`", found
     if setup.basis == "same":
         return "PASS", f"{name}: same policy as the baseline, nothing to compare", found
     value = partial(counted, spec=spec)
     met, judged = replace(met, counted=value), setup.judged
-    bank = bank_of(setup.panel, judged, setup.basis, setup.claim, value)
-    trials = numbers_of(met, judged, setup.panel, setup.basis, bank)
+    reference = reference_of(setup.panel, judged, setup.basis, setup.claim, value)
+    trials = numbers_of(met, judged, setup.panel, setup.basis, reference)
     ended = np.flatnonzero(met.ended(met.places(judged).tolist())).tolist()
     seen = trials.at(ended)
-    known = seen.baseline if bank.paired else bank.means[seen.scenes]
+    known = seen.baseline if reference.paired else reference.means[seen.scenes]
     pairs = ~np.isnan(known - seen.candidate)
     if not pairs.any():
         return "INCONCLUSIVE", f"{name}: no trial has been compared with the baseline", found
     level = (
         float(known[pairs].mean())
-        if bank.paired
+        if reference.paired
         else float(np.mean([scores_of(setup.panel, stratum, value).mean() for stratum in judged]))
     )
     if level * spec.width <= max_drop:
@@ -336,7 +336,7 @@ def _by_baseline(
         return "INVALID", reason, found
     alpha_pass, alpha_regr = 1.0 - gate.confidence, gate.false_alarm / gate.shared
     drops = drop_interval_after(
-        bank,
+        reference,
         seen,
         alpha_pass=alpha_pass,
         alpha_regr=alpha_regr,
@@ -356,7 +356,7 @@ def _by_baseline(
         f"{name} {spec.unscaled(level):.4g} -> {spec.unscaled(now):.4g}{unit} in "
         f"{plural(int(pairs.sum()), 'trial')}, max_drop {max_drop:g}"
     )
-    if alone := _fallen_alone(spec, max_drop, gate, judged, bank, seen):
+    if alone := _fallen_alone(spec, max_drop, gate, judged, reference, seen):
         return "REGRESSED", "; ".join((*alone, change)), found
     if high < max_drop:
         sure = percent_sure(alpha_pass)
@@ -395,7 +395,7 @@ _CHANGES = (0.0, 0.5, 1.0, 1.5, 2.0)
 
 
 def forecast_scores(
-    bank: BaselineResults, declared: Mapping[str, ScoreSpec], gate: Gate
+    baseline: BaselineResults, declared: Mapping[str, ScoreSpec], gate: Gate
 ) -> tuple[ScoreForecast, ...]:
     """Return what the gate makes of each score that it compares with a baseline.
 
@@ -404,23 +404,23 @@ def forecast_scores(
     less. As many trials as the budget has are drawn, all of them looked at once.
 
     Args:
-        bank: of the baseline; scores that it lacks are left out.
+        baseline: to compare with; scores that it lacks are left out.
         declared: what the suite measures.
         gate: of the suite.
     """
-    panel = bank.panels[0]
+    panel = baseline.panels[0]
     judged = strata_that_count(tuple(panel.by_stratum), gate)
     found: list[ScoreForecast] = []
     for name, asked in gate.scores.items():
-        if asked.max_drop is None or name not in bank.manifest.scores or not judged:
+        if asked.max_drop is None or name not in baseline.manifest.scores or not judged:
             continue
         spec = asked.spec(declared[name])
         values = np.array(
             [scores_of(panel, stratum, partial(counted, spec=spec)) for stratum in judged]
         )
-        known = Bank.of(values).fresh()
+        known = Reference.of(values).fresh()
         rng = np.random.Generator(np.random.PCG64(len(found)))
-        total = gate.rounds_for(len(judged), bank.manifest.starts) * len(judged)
+        total = gate.rounds_for(len(judged), baseline.manifest.starts) * len(judged)
         points: list[tuple[float, float, float]] = []
         changes = sorted({asked.tolerated, *(share * asked.max_drop for share in _CHANGES)})
         for change in changes:
@@ -444,7 +444,7 @@ def forecast_scores(
 
 
 def _simulated(
-    bank: Bank,
+    reference: Reference,
     values: NDArray[np.float64],
     drop: float,
     rng: np.random.Generator,
@@ -457,11 +457,11 @@ def _simulated(
     starts = rng.integers(values.shape[1], size=total)
     drawn = DrawnTrials(
         candidate=np.clip(values[scenes, starts] - drop, 0.0, 1.0),
-        baseline=bank.means[scenes],
+        baseline=reference.means[scenes],
         scenes=scenes,
     )
     above, below = drops_ruled_out(
-        bank,
+        reference,
         drawn,
         (asked.tolerated / spec.width, (asked.max_drop or 0.0) / spec.width),
         alpha_pass=1.0 - gate.confidence,

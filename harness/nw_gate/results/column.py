@@ -152,7 +152,7 @@ _WORD = 100  # characters of what is likely to come again
 
 
 def mistyped(values: Mapping[str, Any], columns: Mapping[str, Column]) -> str | None:
-    """Return which column holds a value of the wrong type, or a word that is none, or None."""
+    """Return which column holds a value of the wrong type, or an unknown word, or None."""
     for name, column in columns.items():
         value = values[name]
         if type(value) not in column.exact and not _is_kin(value, column):

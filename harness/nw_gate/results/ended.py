@@ -79,7 +79,7 @@ def read_trials(
     """Return the rows of a run's planned trials; writes trials.parquet again if it is damaged.
 
     Args:
-        folder: of the run.
+        folder: the run's folder.
         info: its run.json.
         trials: its plan.
         spare: trials by id that the run may have beyond those that were enough: nothing is said of

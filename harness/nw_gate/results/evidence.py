@@ -40,11 +40,11 @@ _REALS = tuple(place for place, name in enumerate(COLUMNS) if name in COLUMNS.re
 
 
 def run_leaf(info: RunInfo) -> str:
-    """Return the hex hash of what a run is of: suite with its gate, policy, scenes, bank, engine.
+    """Return the hex hash of what a run is of: suite and gate, policy, scenes, baseline, engine.
 
     When and where it ran is left out, and so is all that `report` writes again.
     """
-    policy, bank, stop = info.policy, info.baseline, info.stop
+    policy, baseline, stop = info.policy, info.baseline, info.stop
     facts = {
         "suite": info.suite,
         "suite_digest": info.suite_digest,
@@ -57,7 +57,9 @@ def run_leaf(info: RunInfo) -> str:
             None if stop is None else [stop.first, *stop.followed],
             *filter(None, [info.drawn_for]),
         ],
-        "bank": None if bank is None else [bank.name, bank.sha256, bank.checked, list(bank.moved)],
+        "bank": None
+        if baseline is None
+        else [baseline.name, baseline.sha256, baseline.checked, list(baseline.moved)],
         "engine": info.engine,
     }
     text = json.dumps(facts, sort_keys=True, separators=(",", ":"))

@@ -85,7 +85,7 @@ def header_of(record: dict[str, Any]) -> JournalHeader:
     """Return the header that a line's JSON holds.
 
     Raises:
-        ValueError, TypeError, KeyError, AttributeError: it is none, or of another version.
+        ValueError, TypeError, KeyError, AttributeError: it is invalid, or has another version.
     """
     version = record.pop("journal")
     if version != VERSION:
@@ -206,7 +206,7 @@ class Journal:
                 written += self._handle.write(lines[written:])
             os.fsync(self._handle.fileno())
         except BaseException as error:
-            # Half a line is of no use; take it back so that what is there stays whole.
+            # A partial line is useless: remove it, so that the rest stays valid.
             with suppress(OSError):
                 self._handle.truncate(before)
                 self._handle.seek(before)

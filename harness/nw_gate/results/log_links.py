@@ -74,11 +74,11 @@ def taken_over_log(log: Path) -> Path:
     That of a trial that was reused from an earlier run lies in `RunFolder.cached`. A path is
     returned as it is where a file is there, or none is in either place.
     """
-    for place in range(len(log.parts) - 2, 0, -1):
-        if log.parts[place] != _LOGS:
+    for index in range(len(log.parts) - 2, 0, -1):
+        if log.parts[index] != _LOGS:
             continue
-        if what_is(log) == "nothing" or is_own_link(log, "/".join(log.parts[place:])):
-            beside = Path(*log.parts[:place], _CACHED, *log.parts[place + 1 :])
+        if what_is(log) == "nothing" or is_own_link(log, "/".join(log.parts[index:])):
+            beside = Path(*log.parts[:index], _CACHED, *log.parts[index + 1 :])
             if what_is(beside) == "file":
                 return beside
     return log

@@ -28,7 +28,7 @@ from nw_base.errors import IncomparableError, StoreError, UsageError
 from nw_base.files.cache import sync_folder
 from nw_base.files.inside import OutsideError, bounded_bytes, checked, inside
 from nw_base.plural import plural
-from nw_gate.results.bank import Against
+from nw_gate.results.baseline import LoadedBaseline
 from nw_gate.results.ended import PlannedTrial, write_trials
 from nw_gate.results.journal import JournalHeader, write_journal
 from nw_gate.results.log_links import link_logs
@@ -225,7 +225,7 @@ def joined(
             one = SourcedRow(row=row, sources=alone)
             earlier = held.get(row.trial_id)
             held[row.trial_id] = one if earlier is None else _which(earlier, one)
-    if gaps := [place for place, trial in enumerate(trials) if trial.id not in held]:
+    if gaps := [index for index, trial in enumerate(trials) if trial.id not in held]:
         raise _gap(sources, trials, gaps, count)
     return tuple(held[trial.id] for trial in trials)
 
@@ -362,7 +362,7 @@ def _place(info: RunInfo) -> tuple[int, str, str]:
 
 
 def write_merged(
-    out: Path, arm: MergedArm, against: Against | None, beside: MergedArm | None = None
+    out: Path, arm: MergedArm, against: LoadedBaseline | None, control: MergedArm | None = None
 ) -> tuple[RunInfo, tuple[str, ...]]:
     """Write the folder of a merged run; return its run.json, and sentences about what is lost.
 
@@ -372,7 +372,7 @@ def write_merged(
         out: the folder, which holds nothing yet.
         arm: the run.
         against: the baseline that its parts were begun against.
-        beside: the run of the baseline's own policy beside them, if there is one.
+        control: the run of the baseline's own policy beside them, if there is one.
 
     Raises:
         UsageError: it holds something else.
@@ -385,9 +385,9 @@ def write_merged(
         with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as near:
             folder = RunFolder(path=Path(near) / "run")
             folder.path.mkdir()
-            if beside is not None:
+            if control is not None:
                 folder.baseline.path.mkdir()
-                _fill(folder.baseline, beside, against)
+                _fill(folder.baseline, control, against)
             ended, lost = _fill(folder, arm, against)
             folder.path.rename(out.resolve())  # A link to an empty folder stays a link.
     except OSError as error:
@@ -400,12 +400,12 @@ def write_merged(
 
 
 def _fill(
-    folder: RunFolder, arm: MergedArm, against: Against | None
+    folder: RunFolder, arm: MergedArm, against: LoadedBaseline | None
 ) -> tuple[RunInfo, tuple[str, ...]]:
     info = arm.info
     lost = _take_logs(arm.held, folder)
     if against is not None:
-        path = folder.bank(against.info.name)
+        path = folder.baseline_file(against.info.name)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(against.content)
     for source in arm.sources:

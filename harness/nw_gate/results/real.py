@@ -38,7 +38,7 @@ class RealResult:
 def read_real_results(path: Path, spec: ScoreSpec | None = None) -> tuple[RealResult, ...]:
     """Read a CSV with a heading that has the four columns, in any order; others are left out.
 
-    Cells are parted by commas, semicolons or tabs. With the latter two, numbers may have a decimal
+    Commas, semicolons or tabs separate cells. With the latter two, numbers may have a decimal
     comma, as spreadsheets write them.
 
     Args:

@@ -26,16 +26,16 @@ class Shard:
     """How many there are."""
 
     @classmethod
-    def of(cls, words: str) -> Shard:
+    def of(cls, text: str) -> Shard:
         """Return the shard that `1/3` names.
 
         Raises:
             UsageError: the words name none.
         """
-        found = _SHARD.fullmatch(words)
+        found = _SHARD.fullmatch(text)
         if found is None or not 1 <= int(found[1]) <= int(found[2]):
             raise UsageError(
-                f"--shard {words!r} is not a part", fix="give I/N, such as 1/3, with I from 1 to N"
+                f"--shard {text!r} is not a part", fix="give I/N, such as 1/3, with I from 1 to N"
             )
         return cls(index=int(found[1]), count=int(found[2]))
 
@@ -110,7 +110,7 @@ class Request:
             changes: values of fields by name; a list does for a tuple, a text for a path.
 
         Raises:
-            UsageError: a value is of no use for its field.
+            UsageError: a value is invalid for its field.
             TypeError: there is no such field.
         """
         from pydantic import TypeAdapter, ValidationError

@@ -123,7 +123,7 @@ class RunFolder:
             ) from None
         return logs / PurePosixPath(scene) / f"{trial_id}.mcap"
 
-    def bank(self, name: str) -> Path:
+    def baseline_file(self, name: str) -> Path:
         """Path of the copy of the baseline that the run is compared with.
 
         Raises:

@@ -124,7 +124,7 @@ def _foreign_table(path: Path) -> dict[str, list[Any]]:
     try:
         file = pq.ParquetFile(path)
         rows = file.metadata.num_rows
-        # Pictures and lists that somebody keeps beside each episode are of no use here.
+        # Pictures and lists that somebody keeps beside each episode are not needed here.
         flat = [
             field.name
             for field in file.schema_arrow

@@ -86,7 +86,7 @@ def way_after(distance: float, x: float, y: float, stretch: Stretch) -> tuple[fl
     Args:
         distance: before it, m.
         x: where that ended, m; NaN before the first stretch.
-        y: as above.
+        y: of the same point, m.
         stretch: whose position each 0.2 s counts, and its last.
     """
     every = max(1, round(WAY_PERIOD / stretch.figures.control_period))

@@ -259,7 +259,7 @@ class TrialEnd:
     """How a trial ended.
 
     Attributes:
-        outcome: None where it came to no result.
+        outcome: None where it has no result.
         seconds: simulated time, s.
         success: 0 to 1.
     """

@@ -75,8 +75,8 @@ def newcombe(
     share is anything: the interval is then as wide as the other side leaves it.
 
     Args:
-        first: successes, and trials, of independent trials.
-        second: as above.
+        first: successes and trials of one sample of independent trials.
+        second: successes and trials of the other sample.
         confidence: two-sided.
 
     Source: R. G. Newcombe, "Interval estimation for the difference between independent proportions:

@@ -138,7 +138,7 @@ def chances_beside(
         courses: what was seen of the policy; a scene may have no trial.
         baseline: what was seen of the baseline in the same scenes.
         repetitions: how many draws.
-        rng: what draws.
+        rng: random generator.
 
     Source: A. Gelman et al., Bayesian Data Analysis, 3rd edition (2013), section 5.3.
     """

@@ -121,10 +121,10 @@ def plan_round(
     share = config.taught_share(number)
     digest = digest_of(["student", number])
     jobs: list[TrialJob] = []
-    for place in range(count):
-        found = scenes[place % len(scenes)]
-        teacher_drives = int((place // len(scenes) + 1) * share) > int(
-            (place // len(scenes)) * share
+    for index in range(count):
+        found = scenes[index % len(scenes)]
+        teacher_drives = int((index // len(scenes) + 1) * share) > int(
+            (index // len(scenes)) * share
         )
         driver = teacher if teacher_drives else student
         trial = Trial(
@@ -134,7 +134,7 @@ def plan_round(
             scene=found.scene.name,
             scene_digest=found.scene.digest,
             task=found.scene.task,
-            index=place // len(scenes),
+            index=index // len(scenes),
         )
         jobs.append(
             TrialJob(

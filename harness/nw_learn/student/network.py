@@ -66,7 +66,7 @@ class StudentNetwork(nn.Module):
 
         Args:
             sizes: from the config.
-            sees: as above.
+            sees: what it observes, from the config.
             proprio: numbers of the body.
         """
         super().__init__()

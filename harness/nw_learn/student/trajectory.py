@@ -82,7 +82,7 @@ class Trajectory:
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Read a trajectory; a file that is none runs no code.
+    """Read a trajectory; a file of another kind runs no code.
 
     Raises:
         StoreError: it is missing, damaged or something else.
@@ -297,7 +297,7 @@ class Dataset:
         owners = np.searchsorted(self._firsts, chosen, side="right") - 1
         stacks: dict[str, list[NDArray[np.uint8]]] = {name: [] for name in self._cameras}
         rows: list[_Rows] = []
-        for place, (owner, number) in enumerate(zip(owners, chosen, strict=True)):
+        for index, (owner, number) in enumerate(zip(owners, chosen, strict=True)):
             one = self.trajectories[owner]
             frame = int(number - self._firsts[owner])
             # The first image stands for those before it, as on the card.
@@ -305,7 +305,7 @@ class Dataset:
             for name, stack in stacks.items():
                 picked = getattr(one, name)[wanted]
                 stack.append(picked.reshape(-1, *picked.shape[2:]))
-            rows.append(_rows(one, frame, place, self._chunk))
+            rows.append(_rows(one, frame, index, self._chunk))
         return Minibatch(
             images={name: np.stack(stack) for name, stack in stacks.items()},
             image_of=np.concatenate([row.image_of for row in rows]),
@@ -335,13 +335,13 @@ class _Rows:
     is_there: NDArray[np.bool_]
 
 
-def _rows(one: Trajectory, frame: int, place: int, chunk: int) -> _Rows:
+def _rows(one: Trajectory, frame: int, index: int, chunk: int) -> _Rows:
     """Return the steps of a trajectory that have an image as their newest."""
     first, end = np.searchsorted(one.frame_of, [frame, frame + 1])
     steps = np.arange(first, end)
     ahead = steps[:, None] + np.arange(chunk)
     return _Rows(
-        image_of=np.full(len(steps), place, np.int64),
+        image_of=np.full(len(steps), index, np.int64),
         body=one.body[first:end],
         labels=one.labels[np.minimum(ahead, one.steps - 1)],
         is_there=ahead < one.steps,

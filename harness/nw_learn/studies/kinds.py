@@ -1,4 +1,4 @@
-"""The studies that there are: whom each trains, what it reckons, how it draws it.
+"""The studies that there are: the policy each trains, what it computes, how it plots it.
 
 * Single-scene: how well does a student of one scene do in each of the others?
 * Multi-scene: how well does a student of many scenes do, round after round, in new ones?
@@ -276,7 +276,7 @@ class SingleScene:
     def students(self, config: SingleSceneConfig, /) -> tuple[PlannedStudent, ...]:
         """Return a student for each scene."""
         scenes = trained_in(config)
-        names = [f"{place:02d}-{slug(each.name)}" for place, each in enumerate(scenes, 1)]
+        names = [f"{index:02d}-{slug(each.name)}" for index, each in enumerate(scenes, 1)]
         return tuple(
             PlannedStudent(
                 config=student_of(config, name, [scene]),
@@ -327,8 +327,8 @@ class SingleScene:
         self, path: Path, students: Sequence[PlannedStudent], scores: Sequence[Score], /
     ) -> None:
         """Draw the matrix: rows are what students were trained in."""
-        row = {each.name: place for place, each in enumerate(students)}
-        column = {scene.name: place for place, scene in enumerate(students[0].scenes)}
+        row = {each.name: index for index, each in enumerate(students)}
+        column = {scene.name: index for index, scene in enumerate(students[0].scenes)}
         draw_matrix(
             path,
             [each.label for each in students],

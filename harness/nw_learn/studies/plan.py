@@ -221,9 +221,9 @@ def student_of(
     return StudentConfig.model_validate(recipe | own | changes)
 
 
-def slug(words: str) -> str:
+def slug(text: str) -> str:
     """Return words, such as a scene's name, as a student's name."""
-    return re.sub(r"[^a-z0-9._]+", "-", words.lower()).strip("-._")[:48] or "scene"
+    return re.sub(r"[^a-z0-9._]+", "-", text.lower()).strip("-._")[:48] or "scene"
 
 
 def _scenes(found: Iterable[FoundScene], part: Part) -> tuple[StudyScene, ...]:

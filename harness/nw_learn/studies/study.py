@@ -62,7 +62,7 @@ def open_study(
         out: its folder (default: `runs/NAME`).
         resume: the folder of a study to go on with.
         say: takes a line for people.
-        listening: makes what hears of one evaluation.
+        listening: makes the listener of one evaluation.
         workers: processes (default: one for each core).
 
     Raises:
@@ -106,7 +106,7 @@ class StudyRun:
         students: in their order.
         trials: of an evaluation in each scene.
         say: takes a line for people.
-        listening: makes what hears of one evaluation.
+        listening: makes the listener of one evaluation.
         workers: processes (default: one for each core).
     """
 
@@ -139,17 +139,17 @@ class StudyRun:
             for student in self.students
             for number in (None, *student.rounds)
         ]
-        done = [place for place, stage in enumerate(stages) if self._is_done(stage)]
+        done = [index for index, stage in enumerate(stages) if self._is_done(stage)]
         if done:
             self._say(f"study: {len(done)} of {len(stages)} are done already")
         progress = StudyProgress(self._say, [stage.kind for stage in stages], done=done)
-        for place, stage in enumerate(stages):
-            if place in done:
+        for index, stage in enumerate(stages):
+            if index in done:
                 continue
-            progress.begin(place, _doing(stage))
+            progress.begin(index, _doing(stage))
             if not self._carry_out(stage):
                 return False
-            progress.end(place)
+            progress.end(index)
             if stage.round is not None:
                 self.write()
         self.write()
@@ -413,7 +413,7 @@ def outcomes_of(run: Path, student: str, number: int) -> tuple[Outcome, ...]:
 
 
 class StudyProgress:
-    """Says which stage begins. What is left is reckoned with how long stages of its kind took here.
+    """Says which stage begins. The time left is estimated from earlier stages of its kind.
 
     Args:
         say: takes a line.
@@ -431,14 +431,14 @@ class StudyProgress:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._say, self._kinds, self._clock = say, kinds, clock
-        self._left = [place for place in range(len(kinds)) if place not in set(done)]
+        self._left = [index for index in range(len(kinds)) if index not in set(done)]
         self._took: dict[str, list[float]] = {}
         self._began = self._stage_began = clock()
 
-    def begin(self, place: int, doing: str) -> None:
+    def begin(self, index: int, doing: str) -> None:
         """Say that a stage begins."""
         self._stage_began = self._clock()
-        words = [f"study: {place + 1} of {len(self._kinds)}", doing]
+        words = [f"study: {index + 1} of {len(self._kinds)}", doing]
         if self._took:
             words.append(f"{_minutes(self._stage_began - self._began)} so far")
         left = self._seconds_left()
@@ -446,10 +446,10 @@ class StudyProgress:
             words.append(f"about {_minutes(left)} left")
         self._say(" · ".join(words))
 
-    def end(self, place: int) -> None:
+    def end(self, index: int) -> None:
         """Take it that a stage has ended."""
-        self._took.setdefault(self._kinds[place], []).append(self._clock() - self._stage_began)
-        self._left.remove(place)
+        self._took.setdefault(self._kinds[index], []).append(self._clock() - self._stage_began)
+        self._left.remove(index)
 
     def _seconds_left(self) -> float | None:
         """Return what is left; None while a kind of stage is left that none has been done of."""

@@ -82,8 +82,8 @@ class Curriculum:
     def choose(self, robots: Robots) -> Robots:
         """Return the lanes of the next episodes of some robots."""
         chosen = np.empty(len(robots), dtype=np.intp)
-        for place, robot in enumerate(robots):
-            chosen[place] = self._choose(int(robot))
+        for index, robot in enumerate(robots):
+            chosen[index] = self._choose(int(robot))
         return chosen
 
     def _choose(self, robot: int) -> int:

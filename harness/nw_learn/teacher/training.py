@@ -63,7 +63,7 @@ class PpoLearner:
 
     Args:
         actor: is improved in place.
-        critic: as above.
+        critic: is improved in place.
         settings: of the config.
         generator: of the order of samples.
         device: where it computes.

@@ -212,9 +212,9 @@ def input_problems(card: Card, file: YamlFile) -> list[Problem]:
         file: that it was read from.
     """
     if card.networks and card.adapter in {"zero", "remote"}:
-        words = f"networks: adapter `{card.adapter}` has no checkpoint here that they could feed"
+        text = f"networks: adapter `{card.adapter}` has no checkpoint here that they could feed"
         fix = "remove them; a server has its networks on the card that it serves"
-        return [file.problem(("networks",), words, None if card.adapter == "zero" else fix)]
+        return [file.problem(("networks",), text, None if card.adapter == "zero" else fix)]
     checked = _Checked(card, file)
     checked.look()
     return sorted(checked.problems, key=lambda problem: (problem.line, problem.column))
@@ -243,12 +243,12 @@ class _Checked:
             if (fault := recurrent_fault(network.adapter, network.recurrent)) is not None:
                 self._tell((*place, "recurrent"), *fault)
             if network.rate is not None and not is_whole(card.control.rate / network.rate):
-                words = f"{network.rate} Hz, the policy acts at {card.control.rate} Hz"
-                self._tell((*place, "rate"), words, "give a rate that divides it")
+                text = f"{network.rate} Hz, the policy acts at {card.control.rate} Hz"
+                self._tell((*place, "rate"), text, "give a rate that divides it")
         if card.networks and card.inputs is None and not card.adapter.startswith("python:"):
-            words = "`inputs` is missing: it says what the checkpoint itself takes"
+            text = "`inputs` is missing: it says what the checkpoint itself takes"
             fix = f"for example `inputs: [{', '.join(self._known)}]`"
-            self._tell(("networks",), words, fix, named=False)
+            self._tell(("networks",), text, fix, named=False)
         elif card.inputs is not None and used <= set(self._known):
             self._unused(used)  # What is not used is often what a misspelt name meant.
         self._circles()
@@ -277,8 +277,8 @@ class _Checked:
             if name in listed:
                 where = (*where, "list")
                 if adapter != "torchscript":
-                    words = f"{name!r} is a list of arrays, which adapter `{adapter}` does not take"
-                    self._tell(where, words, "name what is joined to make it: `[...]`")
+                    text = f"{name!r} is a list of arrays, which adapter `{adapter}` does not take"
+                    self._tell(where, text, "name what is joined to make it: `[...]`")
             if not parts:
                 self._tell(where, f"{name!r} has no observations", "name at least one")
             for index, part in enumerate(parts):
@@ -289,36 +289,36 @@ class _Checked:
 
     def _unknown(self, part: str) -> tuple[str, str]:
         if part in self._outputs:
-            words = f"network {part!r} gives {', '.join(self._outputs[part])}"
-            return words, "name those that are meant"
+            text = f"network {part!r} gives {', '.join(self._outputs[part])}"
+            return text, "name those that are meant"
         kind = "observation or network" if self._outputs else "observation"
         return f"unknown {kind} {part!r}", nearest(part, self._known)
 
     def _unused(self, used: set[str]) -> None:
         unused = [name for name in self._card.observations if name not in used]
         if unused:
-            words = f"no input uses the observation {', '.join(unused)}"
-            self._tell(("observations", unused[0]), words, "use it or remove it", named=False)
+            text = f"no input uses the observation {', '.join(unused)}"
+            self._tell(("observations", unused[0]), text, "use it or remove it", named=False)
         for name, parts in self._outputs.items():
             idle = [part for part in parts if part not in used]
             if idle:
-                words = f"no input uses {', '.join(idle)}"
-                self._tell(("networks", name), words, "use it or remove it")
+                text = f"no input uses {', '.join(idle)}"
+                self._tell(("networks", name), text, "use it or remove it")
 
     def _circles(self) -> None:
         ordered = feeding_order(self._card)
         for name in self._card.networks:
             if name in ordered or (way := way_back(self._card, name)) is None:
                 continue
-            words = f"it feeds itself: {' <- '.join(way)}"
+            text = f"it feeds itself: {' <- '.join(way)}"
             fix = "leave one of them out of `inputs`; a file keeps its own state"
-            self._tell(("networks", name, "inputs"), words, fix)
+            self._tell(("networks", name, "inputs"), text, fix)
             return  # The others of the circle would say the same.
 
-    def _tell(self, place: Location, words: str, fix: str, *, named: bool = True) -> None:
+    def _tell(self, place: Location, text: str, fix: str, *, named: bool = True) -> None:
         parts = [str(part) for part in place if isinstance(part, str)]
         shown = ".".join(parts[:3] if parts[0] == "networks" else parts[:1])
-        message = f"{shown}: {words}" if named else words
+        message = f"{shown}: {text}" if named else text
         self.problems.append(self._file.problem(place, message, fix))
 
 

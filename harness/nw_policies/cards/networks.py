@@ -20,7 +20,7 @@ NetworkAdapter = Literal["onnx", "torchscript", "torch-export"]
 BuiltInAdapter = Literal[
     NetworkAdapter, "mlp", "lucidsim", "extreme-parkour", "act", "remote", "zero"
 ]
-"""The table of adapters; what opens each of them stands in `nw_policies.opening`."""
+"""The table of adapters; `nw_policies.opening` has the function that opens each."""
 
 ADAPTERS: tuple[str, ...] = get_args(BuiltInAdapter)
 
@@ -109,13 +109,13 @@ def recurrent_fault(adapter: str, recurrent: Recurrent | None) -> tuple[str, str
     if adapter == "onnx":
         return "an ONNX graph has names for its outputs", "write `recurrent: {input: output}`"
     if adapter != "torchscript":
-        words = f"`recurrent` is for adapters onnx and torchscript; `{adapter}` keeps its state"
-        return f"{words} itself", "remove it"
+        text = f"`recurrent` is for adapters onnx and torchscript; `{adapter}` keeps its state"
+        return f"{text} itself", "remove it"
     name = next((name for name, one in recurrent.items() if isinstance(one, str)), None)
     if name is None:
         return None
-    words = "the outputs of a TorchScript file have no names, and its inputs no sizes"
-    return words, f"write `recurrent: {{{name}: {{output: 1, shape: [1, 12]}}}}`"
+    text = "the outputs of a TorchScript file have no names, and its inputs no sizes"
+    return text, f"write `recurrent: {{{name}: {{output: 1, shape: [1, 12]}}}}`"
 
 
 class NetworkOutput(CardModel):

@@ -214,7 +214,7 @@ BuiltInWrapper = (
     | Channels
     | Flatten
 )
-"""The table of built-in wrappers; what makes each of them stands in `sensors.wrappers`."""
+"""The table of built-in wrappers; `sensors.wrappers` has the function that makes each."""
 
 BUILT_IN_WRAPPERS = names_of(BuiltInWrapper, "wrapper")
 

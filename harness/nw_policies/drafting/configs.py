@@ -38,7 +38,7 @@ Reader = Callable[[Data, RobotSpec, Sequence[Data]], ExporterMetadata]
 
 
 def reader_of(data: Data) -> tuple[str, Reader | None]:
-    """Return what kind of file it is, by its keys, and what reads it."""
+    """Return the kind of file, by its keys, and its reader."""
     inner = next((value for value in data.values() if isinstance(value, dict)), {})
     policy = data.below("policy")
     if isinstance(data.get("joint_ids_map"), list) and "step_dt" in data:

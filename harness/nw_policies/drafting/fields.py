@@ -220,7 +220,7 @@ def _inner(value: Any) -> list[tuple[str, Fields]]:
     if isinstance(value, Fields):
         return [("", value)]
     items = cast("list[Any]", value) if isinstance(value, list) else []
-    return [(str(place), item) for place, item in enumerate(items) if isinstance(item, Fields)]
+    return [(str(index), item) for index, item in enumerate(items) if isinstance(item, Fields)]
 
 
 def is_passed_over(path: str, kind: str) -> bool:

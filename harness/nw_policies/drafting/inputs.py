@@ -134,10 +134,10 @@ def parts_of(
     if wanted.images:
         return tuple(
             ObservationDraft(
-                name=f"{name}_{place}" if len(wanted.images) > 1 else name,
+                name=f"{name}_{index}" if len(wanted.images) > 1 else name,
                 lines=tuple(_image(array, (channels or 1, None, None))),
             )
-            for place, channels in enumerate(wanted.images)
+            for index, channels in enumerate(wanted.images)
         )
     batch, shape = _batch(array.shape), _without_batch(array.shape)
     if wanted.seen:

@@ -87,7 +87,7 @@ def named_parts(
 
 
 def term_of(term: ExportedTerm) -> tuple[str, int | None] | None:
-    """Return our word for a term, and its size: by what computes it, else by its name."""
+    """Return our word for a term, and its size: by its function, else by its name."""
     known = TERM_OF.get(term.function) or TERM_OF.get(term.name)
     if known is None and term.name.endswith(_COMMAND):
         known = TERM_OF[_COMMAND]  # unitree_rl_lab has `keyboard_velocity_commands`.

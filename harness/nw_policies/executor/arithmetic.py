@@ -162,9 +162,9 @@ def _where(plan: Planner, node: Node) -> None:
 @operator("Clip")
 def _clip(plan: Planner, node: Node) -> None:
     x = _number(plan, node.inputs[0])
-    for place, (code, key) in enumerate(((rows.MAX, "min"), (rows.MIN, "max")), 1):
-        if plan.has(node, place):
-            x = plan.combine(code, x, plan.view(node.inputs[place]))
+    for index, (code, key) in enumerate(((rows.MAX, "min"), (rows.MIN, "max")), 1):
+        if plan.has(node, index):
+            x = plan.combine(code, x, plan.view(node.inputs[index]))
         elif key in node.attributes:
             x = plan.combine(code, x, plan.scalar(node.attributes[key]))
     plan.values[node.outputs[0]] = x

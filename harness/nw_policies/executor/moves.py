@@ -346,11 +346,11 @@ def padded(
     return target
 
 
-def axes_of(plan: Planner, node: Node, place: int) -> list[int]:
+def axes_of(plan: Planner, node: Node, index: int) -> list[int]:
     """Return axes, an attribute in old operator sets and an input in new ones; empty if absent."""
     if "axes" in node.attributes:
         return [int(axis) for axis in node.attributes["axes"]]
-    return _whole(plan.constant_or(node, place, np.zeros(0)))
+    return _whole(plan.constant_or(node, index, np.zeros(0)))
 
 
 def _whole(array: Any) -> list[int]:

@@ -98,14 +98,14 @@ class Planner:
             raise UnsupportedError(f"`{name}` depends on the inputs of the network")
         return value
 
-    def constant_or(self, node: Node, place: int, default: Any) -> Any:
+    def constant_or(self, node: Node, index: int, default: Any) -> Any:
         """Return a constant input, or a default where it is left out."""
-        return self.constant(node.inputs[place]) if self.has(node, place) else default
+        return self.constant(node.inputs[index]) if self.has(node, index) else default
 
     @staticmethod
-    def has(node: Node, place: int) -> bool:
+    def has(node: Node, index: int) -> bool:
         """Whether an optional input is there."""
-        return len(node.inputs) > place and bool(node.inputs[place])
+        return len(node.inputs) > index and bool(node.inputs[index])
 
     def used_once(self, name: str) -> bool:
         """Whether one operator alone takes a value."""

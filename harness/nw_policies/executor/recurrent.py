@@ -77,10 +77,10 @@ def _recurrent(plan: Planner, node: Node) -> None:
             plan.values[name] = result
 
 
-def _initial(plan: Planner, node: Node, place: int, number: int, shape: tuple[int, int]) -> View:
-    if not plan.has(node, place):
+def _initial(plan: Planner, node: Node, index: int, number: int, shape: tuple[int, int]) -> View:
+    if not plan.has(node, index):
         return plan.scalar(0.0).broadcast(shape)
-    return plan.reshaped(part(plan.view(node.inputs[place]), 0, number, 1), shape)
+    return plan.reshaped(part(plan.view(node.inputs[index]), 0, number, 1), shape)
 
 
 class _Cell:

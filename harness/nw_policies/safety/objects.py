@@ -125,7 +125,7 @@ class Index:
 
 @dataclass(frozen=True, kw_only=True)
 class Opaque:
-    """A harmless value that is of no use here, such as a NumPy scalar."""
+    """A harmless value that is not needed here, such as a NumPy scalar."""
 
     name: str
 
@@ -186,8 +186,8 @@ def read_index(
 
     Args:
         index: as for `read_objects`.
-        where: as above.
-        limits: as above.
+        where: as for `read_objects`.
+        limits: as for `read_objects`.
         pickled: whether it is a file of `pickle.dump`, which may hold arrays.
 
     Raises:
@@ -243,10 +243,10 @@ class _Machine:
 
     def to_mark(self) -> list[Any]:
         """Remove and return everything above the last mark."""
-        for place in range(len(self.stack) - 1, -1, -1):
-            if self.stack[place] is _MARK:
-                values = self.stack[place + 1 :]
-                del self.stack[place:]
+        for index in range(len(self.stack) - 1, -1, -1):
+            if self.stack[index] is _MARK:
+                values = self.stack[index + 1 :]
+                del self.stack[index:]
                 return values
         raise ValueError("no mark")
 
@@ -398,7 +398,7 @@ def _array(state: Any) -> TensorRef:
     if count < 0 or count * ITEM_BYTES[dtype] != len(raw):
         raise ValueError(f"an array of shape {shape} with {len(raw)} bytes")
     order = shape if columns else shape[::-1]
-    strides = [math.prod(order[:place]) for place in range(len(order))]
+    strides = [math.prod(order[:index]) for index in range(len(order))]
     return TensorRef(
         storage=StorageRef(key="", dtype=dtype, count=count, raw=raw),
         offset=0,

@@ -183,17 +183,17 @@ def _raw(data: memoryview, place: int, wire: int) -> tuple[int | memoryview, int
     return data[place : place + size], place + size
 
 
-def _varint(data: memoryview, place: int) -> tuple[int, int]:
+def _varint(data: memoryview, index: int) -> tuple[int, int]:
     value = 0
     for shift in range(0, 70, 7):
-        if place >= len(data):
+        if index >= len(data):
             break
-        byte = data[place]
-        place += 1
+        byte = data[index]
+        index += 1
         value |= (byte & 0x7F) << shift
         if byte < 0x80:
-            return value & (2**64 - 1), place
-    raise ValueError(f"a number without an end at byte {place}")
+            return value & (2**64 - 1), index
+    raise ValueError(f"a number without an end at byte {index}")
 
 
 def _written(number: int) -> bytes:

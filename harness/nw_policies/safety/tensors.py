@@ -242,7 +242,7 @@ def _unpacked(data: bytes, where: str) -> Any:
             storage=StorageRef(key="", dtype=dtype, count=math.prod(shape), raw=raw),
             offset=0,
             shape=shape,
-            strides=tuple(math.prod(shape[place + 1 :]) for place in range(len(shape))),
+            strides=tuple(math.prod(shape[index + 1 :]) for index in range(len(shape))),
         )
 
     try:

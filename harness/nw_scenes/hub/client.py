@@ -131,7 +131,7 @@ def opened(
 
     Args:
         client: of the hub.
-        url: what is asked for.
+        url: to fetch.
         headers: besides those that say who asks.
         deadline: for the headers.
 

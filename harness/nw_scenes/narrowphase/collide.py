@@ -82,7 +82,7 @@ def field_top(heights: Any, half: Any, x: Any, y: Any, reach_x: Any, reach_y: An
         heights: (R, C) shares.
         half: as `field_height`.
         x: of the rectangle's middle, metres.
-        y: as above.
+        y: of the rectangle's middle, metres.
         reach_x: half its width, metres.
         reach_y: half its depth.
     """

@@ -277,9 +277,9 @@ def signed_distance(triangles: Any, px: Any, py: Any, pz: Any) -> Any:
 
     Args:
         triangles: (T, CORNERS) metres; those near the point are enough.
-        px: of the point, metres.
-        py: as above.
-        pz: as above.
+        px: x of the point, metres.
+        py: y of the point, metres.
+        pz: z of the point, metres.
 
     Returns:
         Distance in metres, negative inside, inf without triangles; the nearest point x, y, z; and
@@ -373,8 +373,8 @@ def sphere_contacts(triangles: Any, x: Any, y: Any, z: Any, radius: Any, margin:
         triangles: (T, CORNERS) all within radius and margin of the centre, and as far around it
             as it may be under the surface; metres.
         x: of the centre, metres.
-        y: as above.
-        z: as above.
+        y: of the centre, metres.
+        z: of the centre, metres.
         radius: metres.
         margin: distance below which there is a contact, metres.
     """

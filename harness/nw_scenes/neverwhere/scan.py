@@ -365,8 +365,8 @@ class Consistency:
     """How far two surfaces are apart along their normals, metres, capped at 1.
 
     Attributes:
-        median: of points on the collision mesh from the visual mesh.
-        p95: as above.
+        median: of the distances of points on the collision mesh from the visual mesh.
+        p95: 95th percentile of these distances.
         share_off: of the points of both, those further than 2 cm from the other mesh.
     """
 

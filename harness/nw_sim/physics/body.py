@@ -41,7 +41,6 @@ class Body:
         data: its state.
 
     Attributes:
-        robot: as given.
         bodies: numbers of `robot.bodies` in the model.
         body_count: how many bodies the model has, the world's among them.
     """

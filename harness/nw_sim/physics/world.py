@@ -61,8 +61,6 @@ class World(Body):
         substeps: physics steps per control step.
 
     Attributes:
-        scene: as given.
-        protocol: as given.
         monitored: names of the parts whose contact is a collision.
         control_period: seconds of one control step.
         control_rate: control steps in a second, Hz.

@@ -156,8 +156,8 @@ def own_way(card: Card) -> list[Motion]:
     speed = commanded_speed(card.command)
     if abs(speed) < _LEAST:
         return []
-    words = "on its way"
-    return [Motion(words=words, velocity=(speed, 0.0, 0.0), axis=0, is_used=False, is_own=True)]
+    text = "on its way"
+    return [Motion(words=text, velocity=(speed, 0.0, 0.0), axis=0, is_used=False, is_own=True)]
 
 
 def finds_its_way(card: Card) -> bool:

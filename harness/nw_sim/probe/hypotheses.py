@@ -207,8 +207,8 @@ def _histories(card: Card, key: Literal["order", "by"]) -> Iterator[tuple[str, C
             update={"history": history.model_copy(update={key: value})}
         )
         observations = {**card.observations, name: changed}
-        words = f"`{name}` with {key}: {value}"
-        yield words, card.model_copy(update={"observations": observations})
+        text = f"`{name}` with {key}: {value}"
+        yield text, card.model_copy(update={"observations": observations})
 
 
 def turned_cards(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
@@ -305,8 +305,8 @@ def _poses(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
         except PolicyError:
             return  # It has other joints.
         if not np.array_equal(pose, own):
-            words = f"{whose}'s default pose"
-            yield words, _with_control(card, default_pose=per_joint(names, pose.tolist()))
+            text = f"{whose}'s default pose"
+            yield text, _with_control(card, default_pose=per_joint(names, pose.tolist()))
 
 
 def _gains(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
@@ -408,8 +408,8 @@ def turned_terms(card: Card) -> Iterator[tuple[str, Card]]:
         elif name == "command":
             x, y, yaw = term.scale if isinstance(term.scale, list) else [term.scale] * 3
             for scale in ([x, -y, yaw], [x, y, -yaw], [x, -y, -yaw]):
-                words = "the sign of a part of `command` reversed"
-                yield words, _with_changes(card, {name: {"scale": scale}})
+                text = "the sign of a part of `command` reversed"
+                yield text, _with_changes(card, {name: {"scale": scale}})
 
 
 def absolute_terms(card: Card) -> Iterator[tuple[str, Card]]:
@@ -418,8 +418,8 @@ def absolute_terms(card: Card) -> Iterator[tuple[str, Card]]:
     if own:
         relative = not own[0]
         counted = "from `default_pose`" if relative else "from 0"
-        words = f"`joint_pos` counted {counted}"
-        yield words, _with_changes(card, {"joint_pos": {"relative": relative}})
+        text = f"`joint_pos` counted {counted}"
+        yield text, _with_changes(card, {"joint_pos": {"relative": relative}})
 
 
 def framed_terms(card: Card) -> Iterator[tuple[str, Card]]:
@@ -430,8 +430,8 @@ def framed_terms(card: Card) -> Iterator[tuple[str, Card]]:
             frames = ("trunk", "world") if name == "ang_vel" else ("trunk", "world", "yaw")
             for frame in frames:
                 if frame != term.frame:
-                    words = f"`{name}` along the axes of the {frame}"
-                    yield words, _with_changes(card, {name: {"frame": frame}})
+                    text = f"`{name}` along the axes of the {frame}"
+                    yield text, _with_changes(card, {name: {"frame": frame}})
 
 
 def other_velocities(card: Card) -> Iterator[tuple[str, Card]]:
@@ -439,17 +439,17 @@ def other_velocities(card: Card) -> Iterator[tuple[str, Card]]:
     known = {term.term for term in _terms(card)}
     for observation, own in _listed_terms(card):
         names = [term.term for term in own]
-        for place, term in enumerate(own):
+        for index, term in enumerate(own):
             if term.term not in _VELOCITIES or (other := _OTHER[term.term]) in known:
                 continue
             shared = term.model_dump(include={"scale", "offset", "clip"}, exclude_defaults=True)
             terms = list(own)
-            terms[place] = _VELOCITIES[other].model_validate({"term": other, **shared})
+            terms[index] = _VELOCITIES[other].model_validate({"term": other, **shared})
             which = ""
             if names.count(term.term) > 1:
-                which = "the second " if term.term in names[:place] else "the first "
-            words = f"`{other}` instead of {which}`{term.term}` in `{observation}`"
-            yield words, _with_terms(card, {observation: terms})
+                which = "the second " if term.term in names[:index] else "the first "
+            text = f"`{other}` instead of {which}`{term.term}` in `{observation}`"
+            yield text, _with_terms(card, {observation: terms})
 
 
 def moved_terms(card: Card) -> Iterator[tuple[str, Card]]:
@@ -459,12 +459,12 @@ def moved_terms(card: Card) -> Iterator[tuple[str, Card]]:
         if names.count("command") != 1:
             continue
         term = others.pop(own := names.index("command"))
-        for place in range(len(names)):
-            if place != own:
-                terms = [*others[:place], term, *others[place:]]
-                where = f"behind `{others[place - 1].term}`" if place else "first"
-                words = f"`command` {where} in `{observation}`"
-                yield words, _with_terms(card, {observation: terms})
+        for index in range(len(names)):
+            if index != own:
+                terms = [*others[:index], term, *others[index:]]
+                where = f"behind `{others[index - 1].term}`" if index else "first"
+                text = f"`command` {where} in `{observation}`"
+                yield text, _with_terms(card, {observation: terms})
 
 
 def swapped_terms(card: Card, joints: Sequence[str]) -> Iterator[tuple[str, Card]]:
@@ -477,8 +477,8 @@ def swapped_terms(card: Card, joints: Sequence[str]) -> Iterator[tuple[str, Card
             if is_change and term_size(one, joints) == term_size(other, joints):
                 swapped = list(terms)
                 swapped[i], swapped[j] = other, one
-                words = f"`{one.term}` and `{other.term}` of `{observation}` swapped"
-                yield words, _with_terms(card, {observation: swapped})
+                text = f"`{one.term}` and `{other.term}` of `{observation}` swapped"
+                yield text, _with_terms(card, {observation: swapped})
 
 
 def _listed_terms(card: Card) -> Iterator[tuple[str, list[AnyTerm]]]:

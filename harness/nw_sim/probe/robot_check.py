@@ -498,16 +498,16 @@ def eye_words(eye: RobotEye) -> str:
     """Return where a camera sits and looks."""
     x, y, z = eye.position
     down = f"{math.degrees(eye.pitch):.0f} degrees down" if abs(eye.pitch) > 5e-3 else "ahead"
-    place = (
+    location = (
         f"at {x:.2f} {y:.2f} {z:.2f} m of the root, {down}, {math.degrees(eye.fovy):.0f} degrees"
     )
     taken = shutter_words(eye.readout, eye.exposure)
     taken = taken and f", {taken}"
     if eye.intrinsics is None:
-        return place + taken
+        return location + taken
     lens = Intrinsics.model_validate(eye.intrinsics)
     bent = "" if lens.distortion is None else f", {lens.distortion.model}"
     return (
-        f"{place}, {lens.width} x {lens.height} with fx {lens.fx:g} fy {lens.fy:g} "
+        f"{location}, {lens.width} x {lens.height} with fx {lens.fx:g} fy {lens.fy:g} "
         f"cx {lens.cx:g} cy {lens.cy:g}{bent}{taken}"
     )

@@ -200,8 +200,8 @@ class _Draft:
                 own, kd = kd, kd + _rounded(_KD_OF_KP * kp)
                 values += [f"kp: {number(kp)}", f"kd: {number(kd)}"]
                 more = f" + the joint's damping of {number(own)}" if own else ""
-                words = f"kp = torque limit of {number(torque)} N m / 1 rad, kd = kp / 40 s{more}"
-                guessed.append(words)
+                text = f"kp = torque limit of {number(torque)} N m / 1 rad, kd = kp / 40 s{more}"
+                guessed.append(text)
             rows.append((", ".join(values), "; ".join(guessed)))
         groups: dict[tuple[str, str], list[str]] = {}
         for joint, row in zip(facts.joints, rows, strict=True):

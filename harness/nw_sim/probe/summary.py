@@ -343,8 +343,8 @@ def _file(
 
 def _command(card: Card) -> str:
     fields = card.command.model_dump(exclude={"source"})
-    words = ", ".join(f"{key} {flow(value)}" for key, value in fields.items())
-    return f"{card.command.source} ({words})"
+    text = ", ".join(f"{key} {flow(value)}" for key, value in fields.items())
+    return f"{card.command.source} ({text})"
 
 
 def _inputs(card: Card) -> list[str]:

@@ -254,7 +254,7 @@ class Episode:
         """Return the scores that are defined, by name: the task's own, and those asked for.
 
         Args:
-            outcome: how the trial ended; None if it came to no result.
+            outcome: how the trial ended; None if it has no result.
         """
         end = TrialEnd(outcome=outcome, seconds=self.world.time, success=self.task.success)
         with extension_at_fault():

@@ -24,7 +24,7 @@ from nw_base.errors import (
 if TYPE_CHECKING:
     from nw_base.words import PolicyFault
 
-# Where an object lies in memory differs from process to process, and is of no use.
+# Where an object lies in memory differs from process to process, and is useless.
 _ADDRESS = re.compile(r"\b0x[0-9a-fA-F]{5,}")
 
 
@@ -110,5 +110,5 @@ def one_line(error: BaseException) -> str:
     if isinstance(error, NwEvalError):
         return _ADDRESS.sub("0x...", message_of(error))
     frames = traceback.extract_tb(error.__traceback__)
-    place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
-    return _ADDRESS.sub("0x...", f"{type(error).__name__}: {message_of(error)}{place}")
+    location = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
+    return _ADDRESS.sub("0x...", f"{type(error).__name__}: {message_of(error)}{location}")

@@ -58,7 +58,7 @@ class TrialJob:
     allow_code: bool = False  # the caller's word, which no file can give
     record: Record = "failures"  # camera images for which trials; the rest is always logged
     mcap: Path | None = None  # where the log goes; None = no log
-    render: Backend = "cpu"  # what draws splats
+    render: Backend = "cpu"  # the renderer of splats
     rendering: Rendering = PUBLISHED  # and how
     time_limit: float = 600.0  # s of wall time after which the trial counts as hung
     attachments: tuple[tuple[str, str], ...] = ()  # (name, text): the suite, the policy's card

@@ -26,8 +26,8 @@ class Library:
     Worlds, policies and sensors have state, and are made anew for every trial.
 
     Args:
-        scenes: that are kept loaded.
-        bundles: as above.
+        scenes: how many are kept loaded.
+        bundles: how many are kept loaded.
         known: bundles that are loaded already, with the weights that jobs want. They go by their
             `reference` and are kept for good.
         world: makes the world of each trial, from the arguments of `World`.

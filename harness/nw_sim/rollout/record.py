@@ -114,7 +114,7 @@ def job_from_metadata(metadata: Mapping[str, str]) -> TrialJob:
 
 @cache
 def _form() -> TypeAdapter[TrialJob]:
-    """Return what reads jobs: to make it takes longer than to read hundreds."""
+    """Return the reader of jobs: making it takes longer than reading hundreds."""
     return TypeAdapter(TrialJob)
 
 

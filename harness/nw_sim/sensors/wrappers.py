@@ -23,7 +23,7 @@ from nw_sim.sensors.sensor import Plain, Sample, Shot, Spec, StepContext, Wrappe
 
 _BYTE = 255
 
-# ITU-R BT.601, as OpenCV and Pillow reckon brightness.
+# ITU-R BT.601, as OpenCV and Pillow compute brightness.
 _LUMA = np.array([0.299, 0.587, 0.114])
 
 

@@ -78,9 +78,9 @@ class PluginTask(TaskSettings):
             _plugin(self.kind).settings.model_validate(self.model_dump())
         except ValidationError as error:
             first = error.errors()[0]
-            place = ".".join(["task", *(str(part) for part in first["loc"])])
+            location = ".".join(["task", *(str(part) for part in first["loc"])])
             why = explain_limit(first) or first["msg"].lower()
-            raise ValueError(f"{place}: {why}") from None
+            raise ValueError(f"{location}: {why}") from None
         except NwEvalError as error:
             raise ValueError(str(error)) from None
         return self

@@ -259,11 +259,11 @@ class Commanded(Task):
         parts = asked.parts
         unheard = parts - {"vx"} if "speed" in hears else parts
         if unheard and "command" not in hears:
-            words = "".join(_OTHER_WAYS[way] for way in ("speed", "way") if way in hears)
+            text = "".join(_OTHER_WAYS[way] for way in ("speed", "way") if way in hears)
             return TaskFault(
                 ("command",),
                 f"the policy cannot be told {' and '.join(sorted(unheard, key=_PARTS.index))}: its "
-                f"card has no term `command`{words}",
+                f"card has no term `command`{text}",
                 f"give {cls.kind} a policy that follows velocity commands, or command only what "
                 "this one is told",
             )

@@ -67,7 +67,6 @@ class CourseProgress:
         control_period: seconds between updates, for `times`.
 
     Attributes:
-        waypoints: as given.
         places: x and y of each, m.
 
     Raises:

@@ -240,7 +240,7 @@ class Goal:
 
     Attributes:
         x: of the robot at the start, m.
-        y: as above.
+        y: of the robot at the start, m.
         yaw: its heading, rad.
         waypoints: (K, 3) m, in order; those that a viewer draws, and a camera shows as cones. None
             where the task has none.

@@ -226,7 +226,7 @@ def _is_exact(path: Path) -> bool:
 
 
 def _writer(path: Path) -> Callable[[Path, Gaussians], None]:
-    """Return what writes a file of a name.
+    """Return the writer for a file name.
 
     Raises:
         UsageError: nothing does.

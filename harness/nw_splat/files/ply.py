@@ -313,7 +313,7 @@ def _quats(packed: NDArray[np.uint32]) -> NDArray[np.float32]:
     quats = np.empty((len(packed), 4), dtype=np.float32)
     for component in range(4):
         rows = np.flatnonzero(largest == component)
-        places = [place for place in range(4) if place != component]
+        places = [index for index in range(4) if index != component]
         quats[rows, component] = rest[rows]
         quats[rows[:, None], places] = others[rows]
     return quats

@@ -207,7 +207,7 @@ class _Sog:
         quats = np.tile([1.0, 0.0, 0.0, 0.0], (self.count, 1))
         for largest in range(4):
             rows = np.flatnonzero(pixels[:, 3] == 252 + largest)
-            places = [place for place in range(4) if place != largest]
+            places = [index for index in range(4) if index != largest]
             quats[rows, largest] = rest[rows]
             quats[rows[:, None], places] = others[rows]
         return quats

@@ -291,10 +291,10 @@ def _note_unfinished(
                 count += count_bits(bits)
             poke(live, row * live_stride + column, count)
             total += count
-    for place in range(rows * width):
-        first = peek(rowwise, place) | peek(rowwise, place + width)
-        last = peek(rowwise, place + 2 * width) | peek(rowwise, place + 3 * width)
-        poke(fourfold, place, first | last)
+    for index in range(rows * width):
+        first = peek(rowwise, index) | peek(rowwise, index + width)
+        last = peek(rowwise, index + 2 * width) | peek(rowwise, index + 3 * width)
+        poke(fourfold, index, first | last)
     return total
 
 
@@ -306,8 +306,8 @@ def _any_live(live: Any, live_stride: Any, x0: Any, x1: Any, y0: Any, y1: Any) -
     total += peek(live, last + left) + peek(live, last + right)
     if (right - left > 1) or (last - row > live_stride):
         while row <= last:
-            for place in range(row + left, row + right + 1):
-                total += peek(live, place)
+            for index in range(row + left, row + right + 1):
+                total += peek(live, index)
             row += live_stride
     return total > 0
 

@@ -380,8 +380,8 @@ def _ray_side_nearby(q: Any, variance: Any, lean: Any, depth: Any) -> Any:
 @inlined
 def _fetch(array: Any, first: Any, count: Any, line: Any) -> None:
     """Ask for `count` elements from `first` on, `line` of them in a cache line."""
-    for place in range(first, first + count, line):
-        prefetch_early(array, place)
+    for index in range(first, first + count, line):
+        prefetch_early(array, index)
 
 
 @inlined

@@ -403,11 +403,11 @@ def _in_picture(shot: PlacedShot, pixel: Pixel) -> Values:
     return np.array([camera.fx * x + camera.cx, camera.fy * y + camera.cy])
 
 
-def _on_mesh(shot: PlacedShot, pixel: Values, words: str, surface: RayScene | None) -> Values:
+def _on_mesh(shot: PlacedShot, pixel: Values, text: str, surface: RayScene | None) -> Values:
     """Return where the ray of a picture's pixel meets the mesh, in the capture's frame."""
     two = "give the point in two photographs that show it, IMG_1.jpg:412,310+IMG_2.jpg:97,305"
     if surface is None:
-        raise UsageError(f"{words} is in one photograph, and there is no mesh", fix=two)
+        raise UsageError(f"{text} is in one photograph, and there is no mesh", fix=two)
     camera = shot.camera
     local = [(pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy, 1.0]
     direction = np.einsum("ij,j->i", camera.T_world_camera[:3, :3], np.array(local))
@@ -416,7 +416,7 @@ def _on_mesh(shot: PlacedShot, pixel: Values, words: str, surface: RayScene | No
     distance, face = surface.cast(origin[None], direction[None])
     if face[0] < 0:
         raise UsageError(
-            f"the point {words} does not meet the surface: the mesh has a hole there, or the "
+            f"the point {text} does not meet the surface: the mesh has a hole there, or the "
             "pixel shows the sky",
             fix=f"pick a pixel of ground or of a large object nearby, or {two}",
         )
@@ -518,7 +518,7 @@ def _positions(
 ) -> PositionFit | None:
     if not options.positions:
         return None
-    places = {shot.name: place for place, shot in enumerate(capture.shots)}
+    places = {shot.name: index for index, shot in enumerate(capture.shots)}
     known = [name for name in options.positions if name in places]
     if not known:
         name = next(iter(options.positions))

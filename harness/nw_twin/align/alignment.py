@@ -81,17 +81,17 @@ class KnownLength:
         return cls(first=_picked(first), second=_picked(second), metres=metres)
 
 
-def _picked(words: str) -> dict[str, Pixel]:
+def _picked(text: str) -> dict[str, Pixel]:
     picked: dict[str, Pixel] = {}
     end = 0
-    for found in _POINT.finditer(words):
+    for found in _POINT.finditer(text):
         name, x, y = found.groups()
         if found.start() != end or name in picked:
             break
         picked[name], end = (float(x) + 0.5, float(y) + 0.5), found.end()
-    if not picked or end != len(words) or words.endswith("+"):
+    if not picked or end != len(text) or text.endswith("+"):
         raise UsageError(
-            f"{words!r} is not a point of a photograph",
+            f"{text!r} is not a point of a photograph",
             fix="write the photograph's name and the pixel, IMG_1.jpg:412,310; or two photographs "
             "that show the point, IMG_1.jpg:412,310+IMG_2.jpg:97,305",
         )

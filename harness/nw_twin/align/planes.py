@@ -102,7 +102,7 @@ def fit_plane(
     Args:
         points: (N, 3); most of them may lie elsewhere.
         normal: (3,) of the plane to begin with.
-        offset: as above.
+        offset: of the plane to begin with.
         tolerance: beyond twice this a point has no weight; in the points' unit.
         weights: (N,) of the points, such as areas; None = 1.
     """

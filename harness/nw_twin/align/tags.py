@@ -196,14 +196,14 @@ def find_tags(
     """
     detect = detector()
     found: dict[int, list[tuple[int, Values]]] = {}
-    for place, shot in enumerate(capture.shots):
+    for index, shot in enumerate(capture.shots):
         red, green, blue = np.moveaxis(read_picture(shot, folder).astype(np.float32), 2, 0)
         grey = np.ascontiguousarray(0.299 * red + 0.587 * green + 0.114 * blue).astype(np.uint8)
         sightings = detect(grey)
         numbers = [number for number, _ in sightings]
         for number, corners in sightings:
             if numbers.count(number) == 1:  # Two of the same in one picture cannot be told apart.
-                found.setdefault(number, []).append((place, corners))
+                found.setdefault(number, []).append((index, corners))
     for number, seen in sorted(found.items()):
         say(f"tag {number} is in {plural(len(seen), 'picture')}")
     return dict(sorted(found.items()))

@@ -160,7 +160,7 @@ def train_splat(
         capture_folder: what calibration left.
         mesh_folder: what reconstruction left: `mesh.ply` and `depth/`; None = there was none.
         out: where splat.ply, report.json and the state of the training go.
-        options: what is asked.
+        options: the options given.
         say: takes a line for people.
         threads: that share each step; the result does not depend on them.
 

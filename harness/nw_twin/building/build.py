@@ -125,7 +125,7 @@ class Build:
 
     Args:
         scene: the folder of the scene.
-        settings: what is asked for.
+        settings: the options given.
         say: takes a line for people.
     """
 

@@ -290,7 +290,7 @@ class _Plan:
 
 
 def _findings(
-    plan: _Plan, against: NDArray[np.int64], of: NDArray[np.int64], words: str
+    plan: _Plan, against: NDArray[np.int64], of: NDArray[np.int64], text: str
 ) -> Iterator[SceneFinding]:
     """Yield a finding for each region whose squares at least two views and half of all dispute."""
     ndimage = package("scipy.ndimage")
@@ -306,7 +306,7 @@ def _findings(
         yield SceneFinding(
             code="unlike_photographs",
             severity="error",
-            message=f"{words}: {area:.1f} square metres of it about ({x:.2f}, {y:.2f})",
+            message=f"{text}: {area:.1f} square metres of it about ({x:.2f}, {y:.2f})",
             fix="take more photographs of that place, of its edges and sides too, and build again",
             value=area,
             place=(x, y, 0.0),

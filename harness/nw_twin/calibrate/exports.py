@@ -161,9 +161,9 @@ def _frames(
     applied, scale = _applied(whole, path)
     keys = set(whole).union(*(frame for frame in frames if isinstance(frame, dict)))
     notes += unused("nerfstudio", keys, path.name)
-    for place, frame in enumerate(frames):
+    for index, frame in enumerate(frames):
         if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
-            raise SceneError(f"frame {place} of {path} has no file_path", fix=_FIX)
+            raise SceneError(f"frame {index} of {path} has no file_path", fix=_FIX)
         one = _file(folder, frame)
         whose = f"{clean(one.name, at_most=100)} in {path}"
         lens = _lens({**whole, **frame}, one, whose, size_of)

@@ -418,9 +418,9 @@ class _Matching:
         if len(found.inlier_matches) < least:
             return nothing
         models = np.full((3, 3, 3), np.nan)
-        for place, model in enumerate((found.E, found.F, found.H)):
+        for index, model in enumerate((found.E, found.F, found.H)):
             if model is not None:
-                models[place] = model
+                models[index] = model
         config = int(found.config)
         matches = np.asarray(found.inlier_matches, dtype=np.uint32).reshape(-1, 2)
         guided = self._guided(config, models, (one, other), points, cameras)

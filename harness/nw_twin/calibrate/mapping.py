@@ -167,7 +167,7 @@ def fitting(
 def _attended(
     work: Callable[[], _Result], stop: Callable[[], None], at: Callable[[], None]
 ) -> _Result:
-    """Return what work in a thread of its own returns: this one hears signals meanwhile.
+    """Return what work in a thread of its own returns: this thread receives signals meanwhile.
 
     Args:
         work: that takes long, and lets other threads run.
@@ -371,12 +371,12 @@ def _largest(solution: Solution) -> list[int]:
             parts = [new if part == old else part for part in parts]
     sizes = Counter(parts)
     largest = max(parts, key=lambda part: (sizes[part], -parts.index(part)), default=None)
-    return [place for place, part in enumerate(parts) if part == largest]
+    return [index for index, part in enumerate(parts) if part == largest]
 
 
 def _shared(solution: Solution) -> Counter[tuple[int, int]]:
     watching: list[list[int]] = [[] for _ in range(len(solution.points))]
-    for place, one in enumerate(solution.placed):
+    for index, one in enumerate(solution.placed):
         for point in one.seen.tolist():
-            watching[point].append(place)
+            watching[point].append(index)
     return Counter(pair for places in watching for pair in combinations(places, 2))

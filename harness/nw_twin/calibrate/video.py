@@ -107,7 +107,7 @@ def choose_by_time(
         sharpness: (N,) of each.
         per_second: stretches in a second.
         most: that are taken; where there are more stretches, they are made longer.
-        say: is told of that.
+        say: receives a message about that.
     """
     stretches = max(1, math.ceil((times[-1] - times[0]) * per_second + 1e-6))
     if stretches > most:

@@ -67,7 +67,7 @@ def compare(
 
     Args:
         images: as rendered by the photograph's camera.
-        photo: what is wanted.
+        photo: the target image.
         number: of the photograph, for its exposure.
         exposures: maps of colours; None to compare colours as they are.
         ssim_weight: share of structural similarity.

@@ -80,7 +80,7 @@ class Trainer:
     Args:
         photos: at least one, of any sizes.
         start: Gaussians to begin with.
-        config: what is asked.
+        config: of the training.
         threads: that share each step.
 
     Attributes:

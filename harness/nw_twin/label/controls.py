@@ -130,10 +130,10 @@ class Controls:
         """Choose the waypoint `step` further on, round and round."""
         self.chosen = (self.chosen + step) % max(len(self._labelling.state.waypoints), 1)
 
-    def tell(self, words: str) -> None:
+    def tell(self, text: str) -> None:
         """Show what came of an action, and whether there is something to save."""
         unsaved = "" if self._labelling.is_saved else "● Not saved yet."
-        self.status.content = "\n\n".join(line for line in (words, unsaved) if line)
+        self.status.content = "\n\n".join(line for line in (text, unsaved) if line)
 
     def refresh(self) -> None:
         """Bring all fields to the labelling's state."""
@@ -361,7 +361,6 @@ class ControlPanel:
         run: wraps every action.
 
     Attributes:
-        gui: as above.
         by_name: what was added, by its label.
     """
 

@@ -339,7 +339,7 @@ def _flow(values: list[float]) -> CommentedSeq:
 
 
 def _round_trip(path: Path) -> tuple[YAML, CommentedMap]:
-    """Return the content of a file, and what writes it in the same manner."""
+    """Return the content of a file, and a function that writes it in the same format."""
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:

@@ -143,12 +143,12 @@ class LabelPage:
         labelling = self._labelling
         folder = labelling.save()
         self._on_save(f"{folder / SCENE_FILE}: {labelling.words}")
-        words = f"✓ Saved `{folder / SCENE_FILE}`."
+        text = f"✓ Saved `{folder / SCENE_FILE}`."
         if publishes:
             pair = labelling.publish(folder / PUBLISHED)
             self._on_save(f"{pair}: the same, as Neverwhere publishes scenes")
-            words += f" The XML pair is beside it in `{pair.relative_to(folder)}`."
-        return words
+            text += f" The XML pair is beside it in `{pair.relative_to(folder)}`."
+        return text
 
     def _on_click(self, event: Any) -> None:
         self.run(lambda: self.click(event.ray_origin, event.ray_direction))

@@ -60,9 +60,6 @@ class SceneEdits:
 
     Args:
         place: as opened.
-
-    Attributes:
-        place: as above.
     """
 
     def __init__(self, place: OpenedScene) -> None:
@@ -224,9 +221,6 @@ class ShownScene:
         opened: the mesh in the frame of its file.
         state: that places and crops it.
         ground: of a state with the same placement and crop, if one was built.
-
-    Attributes:
-        state: as above.
     """
 
     def __init__(

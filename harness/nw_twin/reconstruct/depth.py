@@ -104,7 +104,7 @@ def depth_maps(
         folder: of the capture.
         out: of the mesh.
         options: see there.
-        say: is told of each shot.
+        say: receives a message for each shot.
         threads: shots at once; no result depends on them.
 
     Returns:
@@ -205,13 +205,13 @@ def _known(
     views: list[WorkingView],
     found: dict[int, Matched],
     near: dict[int, list[int]],
-    place: int,
+    index: int,
     reach: tuple[float, float],
     ground: SparsePlanes,
 ) -> DepthMap:
     """Return what of a picture's planes is taken for right."""
-    cv2, view, own = package("cv2"), views[place], found[place]
-    others, theirs = [views[j] for j in near[place]], [found[j] for j in near[place]]
+    cv2, view, own = package("cv2"), views[index], found[index]
+    others, theirs = [views[j] for j in near[index]], [found[j] for j in near[index]]
     count, distinct = confirming(view, others, own, theirs)
     known = (distinct >= LEAST_AGREEING) & (own.costs <= _WORST)
     # What is plain lies as what is known around it does, and the others say so too.
@@ -402,11 +402,11 @@ def _arrays(path: Path, names: Sequence[str]) -> list[NDArray[Any]]:
 
 
 def _key_of(
-    views: list[WorkingView], place: int, near: list[int], reach: tuple[float, float]
+    views: list[WorkingView], index: int, near: list[int], reach: tuple[float, float]
 ) -> str:
     """Return the hex SHA-256 of all that matching a picture alone depends on."""
-    content = hashlib.sha256(json.dumps([_FORMAT, views[place].name, reach]).encode())
-    for each in (views[place], *(views[j] for j in near)):
+    content = hashlib.sha256(json.dumps([_FORMAT, views[index].name, reach]).encode())
+    for each in (views[index], *(views[j] for j in near)):
         content.update(repr(each.size).encode())
         for array in (each.K, each.T_camera_world, each.rgb):
             content.update(np.ascontiguousarray(array).tobytes())

@@ -277,8 +277,8 @@ def _stacked(arrays: Sequence[NDArray[Kind]]) -> NDArray[Kind]:
     """Return arrays (h, w, ...) of one kind as one, filled up with 0 to the largest."""
     size = np.max([each.shape for each in arrays], axis=0)
     whole = np.zeros((len(arrays), *size), arrays[0].dtype)
-    for place, each in enumerate(arrays):
-        whole[place, : each.shape[0], : each.shape[1]] = each
+    for index, each in enumerate(arrays):
+        whole[index, : each.shape[0], : each.shape[1]] = each
     return whole
 
 

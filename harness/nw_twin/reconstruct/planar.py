@@ -261,7 +261,7 @@ def planar_maps(
         maps: as measured.
         near: numbers of the maps that each is compared with.
         planes: that they may show.
-        say: is told of progress.
+        say: receives progress messages.
         threads: maps at once, each with about 0.2 GB at 640 x 360; no result depends on them.
     """
     known = np.concatenate([each.depth[each.depth > 0] for each in maps])

@@ -158,8 +158,8 @@ def write_colmap_model(capture: Capture, folder: Path, out: Path) -> None:
                 f"{u:.6f} {v:.6f} {p + 1}" for (u, v), p in zip(shown, shot.seen, strict=True)
             ),
         ]
-        for place, point in enumerate(shot.seen):
-            tracks[point].append(f"{number} {place}")
+        for index, point in enumerate(shot.seen):
+            tracks[point].append(f"{number} {index}")
     points = [
         f"{n} {x:.17g} {y:.17g} {z:.17g} {r} {g} {b} {error:.6g} {' '.join(track)}"
         for n, ((x, y, z), (r, g, b), error, track) in enumerate(
@@ -327,8 +327,8 @@ class ReconstructReport:
         if self.without_depth:
             found.append(f"no depth is known of {', '.join(self.without_depth)}")
         for hole in self.holes[1:6]:
-            place = ", ".join(f"{v:.3g}" for v in hole.centre)
-            found.append(f"a hole of {hole.across:.3g} across at ({place})")
+            location = ", ".join(f"{v:.3g}" for v in hole.centre)
+            found.append(f"a hole of {hole.across:.3g} across at ({location})")
         return found
 
 
@@ -361,7 +361,7 @@ def reconstruct(
         capture_folder: of `nw_twin.capture`.
         out: a folder for the results, made if it is not there.
         options: see there.
-        say: is told of progress.
+        say: receives progress messages.
         threads: at once; the results have the same bits with any number.
 
     Raises:

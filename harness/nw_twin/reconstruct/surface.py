@@ -189,7 +189,7 @@ def surface(
         maps: of the capture.
         voxel: edge of a typical cell.
         most: samples that there may be, each with about 1 kB.
-        say: is told of progress.
+        say: receives progress messages.
 
     Raises:
         SceneError: no depth is known, there are too many samples, or no surface comes of them.

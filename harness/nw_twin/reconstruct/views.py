@@ -142,14 +142,14 @@ def _angles(
     return np.arccos(np.clip(cosine, -1.0, 1.0))
 
 
-def depth_range(capture: Capture, place: int) -> tuple[float, float] | None:
+def depth_range(capture: Capture, index: int) -> tuple[float, float] | None:
     """Return the nearest and the farthest depth of a shot, or None if it shows too few points.
 
     They are the first and the last percentile of its points' depths, and 15 percent more. The
     nearest is no farther than points of other shots that lie in its picture: what is close is often
     plain, and was matched elsewhere.
     """
-    shot = capture.shots[place]
+    shot = capture.shots[index]
     camera, T = shot.camera, shot.camera.T_camera_world
     local = capture.points @ T[:3, :3].T + T[:3, 3]
     depth = local[shot.seen, 2]

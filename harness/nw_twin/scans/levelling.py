@@ -187,13 +187,13 @@ def _levelling(
 
 def _moved_course(place: OpenedScene, T: Values, scale: float) -> tuple[Route, str]:
     state = place.state.moved(T)
-    words = "waypoints, start, splat and cameras moved with the mesh"
+    text = "waypoints, start, splat and cameras moved with the mesh"
     start = state.start or place.state.start
     reach = np.array([*state.waypoints]) - np.array(start.position if start else (0.0, 0.0, 0.0))
     if scale < 1.0 and float(np.abs(reach).max(initial=0.0)) < 0.3:
         # scene.yaml is in metres, whatever its mesh is in.
         state = place.state.moved(T @ np.diag([1 / scale, 1 / scale, 1 / scale, 1.0]))
-        words = "the waypoints were in metres already; they are turned and shifted with the mesh"
+        text = "the waypoints were in metres already; they are turned and shifted with the mesh"
         start = state.start or place.state.start
     assert start is not None
     return (
@@ -203,5 +203,5 @@ def _moved_course(place: OpenedScene, T: Values, scale: float) -> tuple[Route, s
             spawn=start.position,
             yaw=start.yaw,
         ),
-        words,
+        text,
     )

@@ -8,16 +8,16 @@ from command_line import ends
 
 import nw_eval
 from nw_base.errors import IncomparableError, UsageError
-from nw_gate.results.bank import (
-    BankKey,
-    BankPolicy,
+from nw_gate.results.baseline import (
+    BaselineKey,
+    BaselinePolicy,
     BaselineResults,
     Manifest,
     Panel,
     PanelInfo,
     Start,
 )
-from nw_gate.results.bank_file import write_bank
+from nw_gate.results.baseline_file import write_baseline
 
 SCENES = {"hurdles/a": "11" * 32, "hurdles/b": "22" * 32}
 MACHINE = {"cpu": "znver4 1f0c77a2"}
@@ -25,8 +25,8 @@ HEADING = "policy,scene,trials,success\n"
 
 
 def save(folder, name, completed, **changes):
-    """Save a bank of ten starts a scene, of which so many were completed in each."""
-    key = BankKey(
+    """Save a baseline of ten starts a scene, of which so many were completed in each."""
+    key = BaselineKey(
         suite_digest="aa" * 32, seed=1, protocol="strict", scenes=SCENES, simulator={}
     ).model_copy(update=changes)
     starts = tuple(
@@ -51,17 +51,17 @@ def save(folder, name, completed, **changes):
         suite="tiny",
         starts=10,
         key=key,
-        policy=BankPolicy(name="walker", card_digest="bb", checkpoint_digest="cc"),
+        policy=BaselinePolicy(name="walker", card_digest="bb", checkpoint_digest="cc"),
         panels=(panel,),
     )
-    bank = BaselineResults(manifest=manifest, panels=(Panel(machine=MACHINE, starts=starts),))
+    baseline = BaselineResults(manifest=manifest, panels=(Panel(machine=MACHINE, starts=starts),))
     path = folder / f"{name}.parquet"
-    write_bank(path, bank)
+    write_baseline(path, baseline)
     return path
 
 
 @pytest.fixture
-def banks(tmp_path):
+def baselines(tmp_path):
     """Five policies, of .1 to .9 in the simulator, .0 or .2 apart between their scenes."""
     return [
         save(tmp_path, f"p{k}", done)
@@ -75,14 +75,14 @@ def csv(tmp_path, text):
     return path
 
 
-def test_five_policies_are_compared_over_the_scenes_that_they_met(banks, tmp_path):
+def test_five_policies_are_compared_over_the_scenes_that_they_met(baselines, tmp_path):
     real = csv(
         tmp_path,
         HEADING
         + "p0,hurdles/a,10,0.1\np0,hurdles/b,10,0.3\n"
         + "".join(f"p{k},hurdles/a,{10 * k},0.{2 * k}\n" for k in range(1, 5)),
     )
-    found = nw_eval.sim2real(real, banks)
+    found = nw_eval.sim2real(real, baselines)
     assert {each.policy: each.value for each in found.gaps} == pytest.approx(
         {"p0": 0.1 - 0.2, "p1": 0.3 - 0.2, "p2": 0.6 - 0.4, "p3": 0.7 - 0.6, "p4": 0.9 - 0.8}
     )
@@ -105,27 +105,27 @@ def test_five_policies_are_compared_over_the_scenes_that_they_met(banks, tmp_pat
     ids=["semicolons", "tabs", "percent", "an index"],
 )
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
-def test_a_csv_of_a_spreadsheet_is_read(banks, tmp_path, text, encoding):
+def test_a_csv_of_a_spreadsheet_is_read(baselines, tmp_path, text, encoding):
     real = tmp_path / "real.csv"
     real.write_text(text, encoding=encoding)
-    found = nw_eval.sim2real(real, banks)
+    found = nw_eval.sim2real(real, baselines)
     assert {each.policy: each.value for each in found.gaps} == pytest.approx(
         {"p0": 0.0 - 0.75, "p4": 0.9 - 0.6}
     )
 
 
-def test_two_policies_give_gaps_and_no_correlation(banks, tmp_path, capsys):
+def test_two_policies_give_gaps_and_no_correlation(baselines, tmp_path, capsys):
     real = csv(tmp_path, HEADING + "p0,hurdles/a,20,0.75\np4,hurdles/b,20,0.6\n")
-    assert not ends("sim2real", real, *banks)
+    assert not ends("sim2real", real, *baselines)
     printed = capsys.readouterr().out
     assert "nothing can be said of rank or correlation from 2 policies" in printed
     assert "Pearson" not in printed
     assert "p4                    +0.300" in printed
 
 
-def test_the_terminal_has_the_figures_beside_a_perfect_simulators(banks, tmp_path, capsys):
+def test_the_terminal_has_the_figures_beside_a_perfect_simulators(baselines, tmp_path, capsys):
     lines = "".join(f"p{k},hurdles/a,10,{x}\n" for k, x in enumerate((0.3, 0.2, 0.4, 0.9, 0.7)))
-    assert not ends("sim2real", str(csv(tmp_path, HEADING + lines)), *banks)
+    assert not ends("sim2real", str(csv(tmp_path, HEADING + lines)), *baselines)
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     (figure,) = [row for row in rows if row[:1] == ["MMRV"]]
     # By hand: p0 and p1 swap .1, p3 and p4 swap .2.
@@ -155,34 +155,34 @@ def test_the_terminal_has_the_figures_beside_a_perfect_simulators(banks, tmp_pat
         ("policy,scene,trials,success,Success\n", "has success twice"),
     ],
 )
-def test_a_csv_that_cannot_be_used_is_named_with_its_line(banks, tmp_path, text, message):
+def test_a_csv_that_cannot_be_used_is_named_with_its_line(baselines, tmp_path, text, message):
     with pytest.raises(UsageError, match=message):
-        nw_eval.sim2real(csv(tmp_path, text), banks)
+        nw_eval.sim2real(csv(tmp_path, text), baselines)
 
 
-def test_a_csv_that_is_none_and_runs_that_are_none_are_usage(banks, tmp_path):
+def test_a_csv_that_is_none_and_runs_that_are_none_are_usage(baselines, tmp_path):
     with pytest.raises(UsageError, match=r"cannot read .*nowhere"):
-        nw_eval.sim2real(tmp_path / "nowhere.csv", banks)
+        nw_eval.sim2real(tmp_path / "nowhere.csv", baselines)
     with pytest.raises(UsageError, match="is no CSV"):
-        nw_eval.sim2real(banks[0], banks)
+        nw_eval.sim2real(baselines[0], baselines)
     with pytest.raises(UsageError, match="no run to compare the robot with"):
         nw_eval.sim2real(csv(tmp_path, HEADING), [])
 
 
-def test_simulators_that_differ_are_not_one_simulator(banks, tmp_path):
+def test_simulators_that_differ_are_not_one_simulator(baselines, tmp_path):
     other = save(tmp_path, "late", (9, 9), simulator={"mujoco": "4.0.1"})
     with pytest.raises(IncomparableError, match=r"its mujoco is 4\.0\.1, there none"):
-        nw_eval.sim2real(csv(tmp_path, HEADING + "p0,hurdles/a,10,1\n"), [*banks, other])
+        nw_eval.sim2real(csv(tmp_path, HEADING + "p0,hurdles/a,10,1\n"), [*baselines, other])
 
 
-def test_agreement_imports_no_simulation(banks, tmp_path):
+def test_agreement_imports_no_simulation(baselines, tmp_path):
     code = (
         "import sys, nw_eval; nw_eval.sim2real(sys.argv[1], sys.argv[2:]); "
         "print({'mujoco', 'torch', 'numba', 'onnxruntime', 'matplotlib'} & {*sys.modules})"
     )
     real = csv(tmp_path, HEADING + "p0,hurdles/a,10,1\n")
     done = subprocess.run(
-        [sys.executable, "-c", code, str(real), *map(str, banks)],
+        [sys.executable, "-c", code, str(real), *map(str, baselines)],
         capture_output=True,
         text=True,
         check=True,

@@ -1,4 +1,4 @@
-"""`nw-eval baseline`: banks of a robot that stands for a fifth of a second, and what they say."""
+"""`nw-eval baseline`: baselines of a robot that stands for a fifth of a second."""
 
 import os
 import shutil
@@ -15,7 +15,7 @@ from nw_base.files.shipped import shipped
 from nw_eval import api
 from nw_eval.cli.verbs.baseline import saved_page
 from nw_eval.engine.listener import NullListener
-from nw_gate.results.bank_file import read_bank
+from nw_gate.results.baseline_file import read_baseline
 from nw_gate.results.provenance import read_run_info, write_run_info
 
 SUITE = """\
@@ -34,7 +34,7 @@ gate: {max_drop: 0.2, baseline: stand}
 
 @pytest.fixture(scope="module")
 def first_save(tmp_path_factory):
-    """A project with a suite, its bank of four starts, and the work folder of its trials."""
+    """A project with a suite, its baseline of four starts, and the work folder of its trials."""
     folder = tmp_path_factory.mktemp("project")
     (folder / "quick.yaml").write_text(SUITE)
     with pytest.MonkeyPatch.context() as patch:
@@ -74,13 +74,13 @@ def printed(capsys, *arguments, code=0):
     return shown.out + shown.err
 
 
-def test_a_bank_lies_where_a_gate_looks_for_it_and_says_where_its_policy_is(project):
-    bank = read_bank(Path("reports/baselines/quick/stand.parquet"))
-    assert bank.manifest.starts == 4
-    assert bank.manifest.note == "the first"
-    assert bank.manifest.policy.card == "stand"
-    assert [start.seed_index for start in bank.panels[0].starts] == [0, 1, 2, 3]
-    assert str(project) not in bank.manifest.model_dump_json()
+def test_a_baseline_lies_where_a_gate_looks_for_it_and_says_where_its_policy_is(project):
+    baseline = read_baseline(Path("reports/baselines/quick/stand.parquet"))
+    assert baseline.manifest.starts == 4
+    assert baseline.manifest.note == "the first"
+    assert baseline.manifest.policy.card == "stand"
+    assert [start.seed_index for start in baseline.panels[0].starts] == [0, 1, 2, 3]
+    assert str(project) not in baseline.manifest.model_dump_json()
 
 
 def test_saving_again_runs_nothing_and_leaves_the_file_as_it_is(project):
@@ -93,13 +93,13 @@ def test_saving_again_runs_nothing_and_leaves_the_file_as_it_is(project):
 
 
 @pytest.mark.usefixtures("project")
-def test_a_save_that_was_interrupted_goes_on_where_it_was_and_saves_the_same_bank():
+def test_a_save_that_was_interrupted_goes_on_where_it_was_and_saves_the_same_baseline():
     class Impatient(NullListener):
         def trial(self, row):  # noqa: ARG002  # The first one is enough.
             os.kill(os.getpid(), signal.SIGINT)
 
     file = Path("reports/baselines/quick/stand.parquet")
-    before = read_bank(file)
+    before = read_baseline(file)
     file.unlink()
     journal = work() / "journal.jsonl"
     journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:2]))
@@ -109,7 +109,7 @@ def test_a_save_that_was_interrupted_goes_on_where_it_was_and_saves_the_same_ban
     assert 3 <= len(journal.read_bytes().splitlines()) < 5
     saved = api.save_baseline("quick.yaml", trials=4, workers=1)
     assert saved.action == "new"
-    assert saved.bank.panels == before.panels
+    assert saved.baseline.panels == before.panels
     assert len(journal.read_bytes().splitlines()) == 5
 
 
@@ -120,7 +120,7 @@ def test_a_save_says_how_long_it_takes_and_after_ctrl_c_goes_on_with_the_same_co
     file = Path("reports/baselines/quick/stand.parquet")
     file.unlink()
     saved = api.save_baseline("quick.yaml", trials=30, workers=2, note="the first", cache=False)
-    whole = saved.bank
+    whole = saved.baseline
     file.unlink()
     shutil.rmtree(work())
     command = ["save", "quick.yaml", "--trials=30", "--workers=1", "--no-cache", "--note=the first"]
@@ -138,13 +138,13 @@ def test_a_save_says_how_long_it_takes_and_after_ctrl_c_goes_on_with_the_same_co
     assert "2 of 30 trials are kept; run the same command again to resume" in said
     assert not file.exists()
     assert "28 of 30 trials to run: about" in printed(capsys, *command)
-    assert timeless(read_bank(file)) == timeless(whole)
+    assert timeless(read_baseline(file)) == timeless(whole)
 
 
-def timeless(bank):
+def timeless(baseline):
     """Return what a baseline's file holds but for when it was saved."""
-    infos = tuple(info.model_copy(update={"saved": ""}) for info in bank.manifest.panels)
-    return bank.manifest.model_copy(update={"panels": infos}).model_dump(), bank.panels
+    infos = tuple(info.model_copy(update={"saved": ""}) for info in baseline.manifest.panels)
+    return baseline.manifest.model_copy(update={"panels": infos}).model_dump(), baseline.panels
 
 
 @pytest.mark.usefixtures("project")
@@ -183,12 +183,14 @@ def test_a_run_on_another_class_of_machine_is_a_second_panel(capsys):
     shown = printed(capsys, "save", "quick.yaml", "--run", str(run_of("there", cpu="haswell")))
     assert "which has this machine type now, too (2 types): cpu haswell" in shown
     file = Path("reports/baselines/quick/stand.parquet")
-    assert [panel.machine.get("cpu") for panel in read_bank(file).panels] == [None, "haswell"]
+    assert [panel.machine.get("cpu") for panel in read_baseline(file).panels] == [None, "haswell"]
     assert "0 of 4 trials differ from machine 1" in printed(capsys, "show", "stand")
 
 
 @pytest.mark.usefixtures("project")
-def test_another_simulator_replaces_a_bank_only_when_asked_and_after_what_moved_was_shown(capsys):
+def test_another_simulator_replaces_a_baseline_only_when_asked_and_after_what_moved_was_shown(
+    capsys,
+):
     run = str(run_of("newer", mujoco="4.9.9"))
     file = Path("reports/baselines/quick/stand.parquet")
     before = file.read_bytes()
@@ -198,8 +200,8 @@ def test_another_simulator_replaces_a_bank_only_when_asked_and_after_what_moved_
     assert file.read_bytes() == before
     shown = printed(capsys, "save", "quick.yaml", "--run", run, "--renew", "--note", "new MuJoCo")
     assert "renewed reports/baselines/quick/stand.parquet" in shown
-    assert read_bank(file).manifest.key.simulator["mujoco"] == "4.9.9"
-    assert read_bank(file).manifest.note == "new MuJoCo"
+    assert read_baseline(file).manifest.key.simulator["mujoco"] == "4.9.9"
+    assert read_baseline(file).manifest.note == "new MuJoCo"
     # Here it is MuJoCo 4.0.0 still.
     shown = printed(capsys, "check", "stand", "--suite", "quick.yaml", code=5)
     assert shown.splitlines()[:2] == [
@@ -222,7 +224,7 @@ def test_a_check_names_what_the_suite_says_otherwise_and_whether_the_machine_is_
     printed(capsys, "check", "stand", "--suite", "quick.yaml")
 
 
-def test_what_renews_a_bank_of_a_policy_outside_the_project_asks_where_it_lies(
+def test_what_renews_a_baseline_of_a_policy_outside_the_project_asks_where_it_lies(
     project, tmp_path, capsys
 ):
     far = Path(shutil.copytree(shipped("policies") / "stand", tmp_path / "far away" / "still"))
@@ -248,7 +250,7 @@ def test_what_renews_a_bank_of_a_policy_outside_the_project_asks_where_it_lies(
 
 
 @pytest.mark.usefixtures("project")
-def test_banks_are_listed_with_what_is_wrong_with_one(capsys):
+def test_baselines_are_listed_with_what_is_wrong_with_one(capsys):
     folder = Path("reports/baselines/quick")
     shutil.copy(folder / "stand.parquet", folder / "copied.parquet")
     (folder / "torn.parquet").write_bytes((folder / "stand.parquet").read_bytes()[:-9])
@@ -261,7 +263,7 @@ def test_banks_are_listed_with_what_is_wrong_with_one(capsys):
 
 
 @pytest.mark.usefixtures("project")
-def test_two_banks_are_compared_scene_by_scene(capsys):
+def test_two_baselines_are_compared_scene_by_scene(capsys):
     api.save_baseline("quick.yaml", run=run_of("newer", mujoco="4.9.9"), name="newer")
     shown = printed(capsys, "diff", "stand", "newer")
     assert "simulator mujoco  4.0.0 -> 4.9.9" in shown
@@ -292,7 +294,7 @@ def test_a_run_of_another_suite_is_refused(project):
 
 
 @pytest.mark.usefixtures("project")
-def test_looking_at_banks_loads_no_simulator_and_not_even_arrow():
+def test_looking_at_baselines_loads_no_simulator_and_not_even_arrow():
     code = (
         "import sys\nfrom nw_eval import cli\n"
         "for words in (['list'], ['show', 'stand'], ['diff', 'stand', 'stand']):\n"
@@ -306,11 +308,11 @@ def test_looking_at_banks_loads_no_simulator_and_not_even_arrow():
 
 
 @pytest.mark.usefixtures("project")
-def test_a_bank_that_is_damaged_is_written_over_only_when_asked():
+def test_a_baseline_that_is_damaged_is_written_over_only_when_asked():
     file = Path("reports/baselines/quick/stand.parquet")
     run = run_of("there")
     file.write_bytes(file.read_bytes()[:-9])
     with pytest.raises(StoreError, match=r"is damaged: .*, or replace it"):
         api.save_baseline("quick.yaml", run=run)
     assert api.save_baseline("quick.yaml", run=run, renew=True).action == "new"
-    assert read_bank(file).manifest.starts == 4
+    assert read_baseline(file).manifest.starts == 4

@@ -168,15 +168,15 @@ def test_other_capture_cameras_make_another_scene(place):
     assert first.digest != get_scene(place / "all").digest
 
 
-def test_a_run_over_the_cap_makes_no_bank(ran, place):
+def test_a_run_over_the_cap_makes_no_baseline(ran, place):
     (place / "strict.yaml").write_text(
         SUITE.format(more=f", {VALIDITY}").replace("at_most: 0.6", "at_most: 0.4")
     )
     strict = api.run(place / "strict.yaml", out=place / "strict", workers=1)
     assert strict.exit_code == 3
     with pytest.raises(IncomparableError, match="1 of 2 trials left the captured volume"):
-        api.save_baseline(place / "strict.yaml", run=strict.folder, root=place / "banks")
-    api.save_baseline(place / "fog.yaml", run=ran.folder, root=place / "banks")
+        api.save_baseline(place / "strict.yaml", run=strict.folder, root=place / "baselines")
+    api.save_baseline(place / "fog.yaml", run=ran.folder, root=place / "baselines")
 
 
 def test_verify_finds_the_same_numbers_again(ran):

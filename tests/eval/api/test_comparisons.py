@@ -1,4 +1,4 @@
-"""Runs and banks of one suite are compared, by function and by verb, without a simulator."""
+"""Runs and baselines of one suite are compared, by function and by verb, without a simulator."""
 
 import subprocess
 import sys
@@ -11,8 +11,8 @@ import nw_eval
 from nw_base.errors import IncomparableError, UsageError
 from nw_eval.api.saved_run import saved_trials
 from nw_eval.suite import new_suite
-from nw_gate.results.bank import (
-    BankPolicy,
+from nw_gate.results.baseline import (
+    BaselinePolicy,
     BaselineResults,
     Manifest,
     Panel,
@@ -21,7 +21,7 @@ from nw_gate.results.bank import (
     key_of,
     machine_of,
 )
-from nw_gate.results.bank_file import write_bank
+from nw_gate.results.baseline_file import write_baseline
 from nw_gate.results.provenance import (
     SceneInfo,
 )
@@ -31,12 +31,12 @@ SCENE, DIGEST, STARTS = "flat/room", "dd" * 32, 3
 
 @pytest.fixture(scope="module")
 def reports(tmp_path_factory):
-    """A folder with two runs on the same starts, one on others, and a bank of a better policy."""
+    """A folder with two runs on the same starts, one on others, and a better policy's baseline."""
     folder = tmp_path_factory.mktemp("reports")
     info = save_run(folder / "a", seed=7)
     save_run(folder / "b", seed=7)
     save_run(folder / "other", seed=8)
-    write_bank(folder / "first.parquet", better_bank(info))
+    write_baseline(folder / "first.parquet", better_baseline(info))
     return folder
 
 
@@ -54,8 +54,8 @@ def save_run(path, *, seed):
     return info
 
 
-def better_bank(info):
-    """A bank on the starts of a run, of a policy that reached everything."""
+def better_baseline(info):
+    """A baseline on the starts of a run, of a policy that reached everything."""
     starts = tuple(
         Start(
             scene=SCENE,
@@ -78,13 +78,13 @@ def better_bank(info):
         suite="tiny",
         starts=STARTS,
         key=key_of(info),
-        policy=BankPolicy(name="shipped", card_digest="bb", checkpoint_digest="cc"),
+        policy=BaselinePolicy(name="shipped", card_digest="bb", checkpoint_digest="cc"),
         panels=(panel,),
     )
     return BaselineResults(manifest=manifest, panels=(Panel(machine=machine, starts=starts),))
 
 
-def test_two_runs_and_a_bank_stand_side_by_side(reports):
+def test_two_runs_and_a_baseline_stand_side_by_side(reports):
     found = nw_eval.compare([reports / "a", reports / "b", reports / "first.parquet"])
     assert [each.label for each in found.policies] == ["stand (a)", "stand (b)", "shipped"]
     assert [each.mean for each in found.policies] == [0.0, 0.0, 1.0]
@@ -105,7 +105,7 @@ def test_runs_on_other_starts_are_invalid_and_the_field_is_named(reports):
         nw_eval.compare([reports / "a", reports / "other"])
 
 
-def test_what_is_neither_a_run_nor_a_bank_is_named(reports):
+def test_what_is_neither_a_run_nor_a_baseline_is_named(reports):
     with pytest.raises(UsageError, match=r"nowhere is not a run folder, and suite 'tiny' has no"):
         nw_eval.compare([reports / "a", "nowhere"])
     with pytest.raises(UsageError, match="name the baseline's file"):

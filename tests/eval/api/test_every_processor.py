@@ -12,8 +12,8 @@ import pytest
 import nw_eval
 from nw_eval import api
 from nw_eval.engine.identity import engine_of
-from nw_gate.results.bank import machine_in, machine_of
-from nw_gate.results.bank_file import read_bank
+from nw_gate.results.baseline import machine_in, machine_of
+from nw_gate.results.baseline_file import read_baseline
 from nw_gate.results.provenance import read_run_info
 from nw_policies import load_bundle
 from nw_policies.executor import IDENTITY
@@ -79,13 +79,13 @@ def test_a_baseline_of_one_processor_holds_on_another_where_nw_eval_runs_the_net
 ):
     project(runtime)
     processor("zen 0a0a0a0a")
-    bank = read_bank(api.save_baseline("quick.yaml", trials=4, workers=1).file)
+    baseline = read_baseline(api.save_baseline("quick.yaml", trials=4, workers=1).file)
     processor("emerald 1b1b1b1b")
     ran = api.run("quick.yaml", workers=1)
     run = read_run_info(ran.folder / "run.json")
     holds = runtime is None
     # Where it holds, its rows are taken over, and no trial of its policy has to run beside others.
-    assert (bank.panel_of(machine_of(run)) is not None) == holds
+    assert (baseline.panel_of(machine_of(run)) is not None) == holds
     assert ("cpu" in run.engine) != holds
     sentence = "" if holds else "its results depend on the processor: ONNX Runtime"
     assert run.policy.dependence == sentence
@@ -119,7 +119,7 @@ def test_a_baseline_of_nw_eval_s_networks_has_one_class_whatever_saved_it(projec
     file = api.save_baseline("quick.yaml", trials=2, workers=1).file
     processor("emerald 1b1b1b1b")
     assert api.save_baseline("quick.yaml", trials=2, workers=1).action == "unchanged"
-    (panel,) = read_bank(file).panels
+    (panel,) = read_baseline(file).panels
     assert "cpu" not in panel.machine
 
 

@@ -276,8 +276,8 @@ HOSTILE = {
         lambda run, out: link(run.logs, out.parent),
         "mcap is a symbolic link",
     ),
-    "a link for a bank": (
-        lambda run, out: link(run.bank("tiny"), out),
+    "a link for a baseline": (
+        lambda run, out: link(run.baseline_file("tiny"), out),
         "bank/tiny.parquet is a symbolic link",
     ),
     "a link among the logs": (
@@ -416,9 +416,9 @@ def test_a_run_that_is_whole_but_for_its_logs_is_shown(tmp_path, honest):
     assert (len(pages), left_out) == (7, [])
 
 
-def test_a_bank_is_read_from_the_runs_folder_alone(tmp_path, outside):
-    bank = BaselineInfo(name="tiny", path=str(outside), sha256=_sha256(outside))
-    folder = save_run(tmp_path / "runs" / "against", baseline=bank)
+def test_a_baseline_is_read_from_the_runs_folder_alone(tmp_path, outside):
+    baseline = BaselineInfo(name="tiny", path=str(outside), sha256=_sha256(outside))
+    folder = save_run(tmp_path / "runs" / "against", baseline=baseline)
     pages, left_out = pages_of([folder.path], tmp_path)
     assert left_out == []
     assert all("INVALID" in page.read_text(encoding="utf-8") for page in pages)

@@ -8,7 +8,7 @@ import pytest
 from nw_base.errors import UsageError
 from nw_eval import api
 from nw_eval.reporting.junit import junit_xml
-from nw_gate.results.bank_file import read_bank, write_bank
+from nw_gate.results.baseline_file import read_baseline, write_baseline
 from nw_gate.results.parquet import read_rows
 
 SUITE = """
@@ -97,14 +97,14 @@ def test_a_baseline_whose_scores_were_changed_is_invalid_for_its_own_policy(fold
     gate = "gate:\n  max_drop: 0.3\n  rounds: 2\n  scores: {mean_power: {max_drop: 60}}\n"
     (folder / "scored.yaml").write_text(head + gate)
     saved = api.save_baseline("scored.yaml", trials=2, workers=1)
-    honest = read_bank(saved.file)
+    honest = read_baseline(saved.file)
     (panel,) = honest.panels
     doubled = tuple(
         replace(start, scores=tuple((name, 2.0 * value) for name, value in start.scores))
         for start in panel.starts
     )
     saved.file.unlink()
-    write_bank(saved.file, replace(honest, panels=(replace(panel, starts=doubled),)))
+    write_baseline(saved.file, replace(honest, panels=(replace(panel, starts=doubled),)))
     report = api.run("scored.yaml", baseline=str(saved.file), out=folder / "run", workers=1)
     assert (report.verdict.verdict, report.exit_code) == ("INVALID", 5)
     told = [each for each in report.verdict.reasons if "mean_power" in each]

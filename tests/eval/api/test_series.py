@@ -61,7 +61,7 @@ def test_the_first_checkpoint_that_fell_is_found_and_a_search_goes_on_where_it_w
     assert found.found.last_good == 1
     assert list(found.found.suspects) == [2]
     assert found.exit_code == 1
-    assert found.trials <= 8, "what is as good as the bank costs nothing"
+    assert found.trials <= 8, "what is as good as the baseline costs nothing"
     told = json.loads(series_json(found))
     assert (told["first_flagged"], told["last_passed"]) == ("fourth.onnx", "third.onnx")
     assert [each["verdict"] for each in told["checkpoints"]] == [
@@ -75,7 +75,7 @@ def test_the_first_checkpoint_that_fell_is_found_and_a_search_goes_on_where_it_w
     )
     assert "the last before it that passed: third.onnx" in page
     again = api.bisect("one.yaml", series, **settings)
-    assert again.bank == found.bank
+    assert again.baseline == found.baseline
     rows = [[row.state_digest for row in run.rows] for run in found.runs.values()]
     assert rows == [[row.state_digest for row in run.rows] for run in again.runs.values()]
     assert [run.info.started for run in again.runs.values()] == [
@@ -119,7 +119,9 @@ def test_what_is_no_checkpoint_is_refused_before_anything_runs(series):
 
 
 @pytest.mark.slow
-def test_a_bank_of_that_name_that_is_of_another_checkpoint_is_not_taken_for_the_good_one(series):
+def test_a_baseline_of_that_name_that_is_of_another_checkpoint_is_not_taken_for_the_good_one(
+    series,
+):
     api.save_baseline("one.yaml", checkpoint="last.onnx", name="good", trials=1)
     with pytest.raises(
         IncomparableError, match=r"good\.parquet is there already, and is not a baseline"

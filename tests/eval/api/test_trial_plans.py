@@ -1,4 +1,4 @@
-"""How many trials a gate needs: from a bank, and from the rows of a run; nothing is run."""
+"""How many trials a gate needs: from a baseline, and from the rows of a run; nothing is run."""
 
 import shutil
 from dataclasses import replace
@@ -11,16 +11,16 @@ from saved_runs import info_of, row_of, save
 
 from nw_base.errors import IncomparableError, UsageError
 from nw_eval import api
-from nw_gate.results.bank import (
-    BankKey,
-    BankPolicy,
+from nw_gate.results.baseline import (
+    BaselineKey,
+    BaselinePolicy,
     BaselineResults,
     Manifest,
     Panel,
     PanelInfo,
     Start,
 )
-from nw_gate.results.bank_file import read_bank, write_bank
+from nw_gate.results.baseline_file import read_baseline, write_baseline
 from nw_gate.results.provenance import (
     PolicyInfo,
     SceneInfo,
@@ -71,21 +71,21 @@ def run(plan, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def bank(plan, tmp_path_factory):
-    """A bank of the suite with 30 starts in each scene."""
-    path = tmp_path_factory.mktemp("banks") / "shipped.parquet"
+def baseline(plan, tmp_path_factory):
+    """A baseline of the suite with 30 initial states in each scene."""
+    path = tmp_path_factory.mktemp("baselines") / "shipped.parquet"
     manifest = Manifest(
         name="shipped",
         suite="two",
         starts=30,
-        key=BankKey(
+        key=BaselineKey(
             suite_digest=plan.suite.digest,
             seed=7,
             protocol="strict",
             scenes={scene.name: scene.digest for scene in plan.scenes},
             simulator={"mujoco": "4.0.0"},
         ),
-        policy=BankPolicy(name="trot", card_digest="ca" * 32, checkpoint_digest="cc" * 32),
+        policy=BaselinePolicy(name="trot", card_digest="ca" * 32, checkpoint_digest="cc" * 32),
         panels=(PanelInfo(machine={"cpu": "x"}, saved="now", by="us", rows_digest="00" * 32),),
     )
     starts = sorted(
@@ -107,12 +107,12 @@ def bank(plan, tmp_path_factory):
         key=lambda start: (start.scene, start.seed_index),
     )
     panel = Panel(machine={"cpu": "x"}, starts=tuple(starts))
-    write_bank(path, BaselineResults(manifest=manifest, panels=(panel,)))
+    write_baseline(path, BaselineResults(manifest=manifest, panels=(panel,)))
     return path
 
 
-def test_a_bank_says_how_many_trials_convict_a_drop(suite, bank):
-    planned = api.plan_trials(suite, baseline=str(bank), detect=0.4, workers=2)
+def test_a_baseline_says_how_many_trials_convict_a_drop(suite, baseline):
+    planned = api.plan_trials(suite, baseline=str(baseline), detect=0.4, workers=2)
     assert planned.source == "baseline shipped of trot"
     assert (planned.outset.scenes, planned.outset.starts, planned.outset.known) == (2, 30, True)
     assert planned.outset.baseline == pytest.approx(0.975)
@@ -126,18 +126,20 @@ def test_a_bank_says_how_many_trials_convict_a_drop(suite, bank):
     assert planned.minutes(60) == pytest.approx((4 + 60 * 0.06 * 6 / 2) / 60)
 
 
-def test_each_gated_score_is_forecast(suite, bank, tmp_path):
+def test_each_gated_score_is_forecast(suite, baseline, tmp_path):
     gated = tmp_path / "gated.yaml"
     asked = "scores: {mean_power: {max_drop: 60, tolerate: 10, range: [0, 300]}}"
     gated.write_text(suite.read_text().replace("rounds: 20", f"rounds: 20, {asked}"))
-    plain = read_bank(bank)
+    plain = read_baseline(baseline)
     (panel,) = plain.panels
     starts = tuple(
         replace(start, scores=(("mean_power", 100.0 + start.seed_index),)) for start in panel.starts
     )
     manifest = plain.manifest.model_copy(update={"scores": ("mean_power",)})
     scored = tmp_path / "shipped.parquet"
-    write_bank(scored, BaselineResults(manifest=manifest, panels=(replace(panel, starts=starts),)))
+    write_baseline(
+        scored, BaselineResults(manifest=manifest, panels=(replace(panel, starts=starts),))
+    )
     planned = api.plan_trials(gated, baseline=str(scored), detect=0.4, workers=2)
     assert isinstance(planned, api.TrialPlan)
     (found,) = planned.scores
@@ -147,10 +149,10 @@ def test_each_gated_score_is_forecast(suite, bank, tmp_path):
     assert by_change[0.0] == (1.0, 0.0)
     assert by_change[60.0][0] <= 0.05 + 0.05
     assert by_change[120.0] == (0.0, 1.0)
-    assert api.plan_trials(gated, baseline=str(bank), detect=0.4, workers=2).scores == ()
+    assert api.plan_trials(gated, baseline=str(baseline), detect=0.4, workers=2).scores == ()
 
 
-def test_a_run_is_taken_for_the_baseline_of_a_bank_that_is_not_there_yet(suite, run):
+def test_a_run_is_taken_for_the_baseline_of_a_baseline_that_is_not_there_yet(suite, run):
     planned = api.plan_trials(suite, run=run, workers=2)
     assert planned.source == "run week of trot"
     assert (planned.outset.starts, planned.outset.known) == (200, False), "as a save would take"
@@ -159,7 +161,7 @@ def test_a_run_is_taken_for_the_baseline_of_a_bank_that_is_not_there_yet(suite, 
     assert (planned.curve, planned.dropped) == (again.curve, again.dropped)
 
 
-def test_without_a_bank_or_a_run_there_is_nothing_to_plan_with(suite, run):
+def test_without_a_baseline_or_a_run_there_is_nothing_to_plan_with(suite, run):
     with pytest.raises(
         UsageError, match="no baseline to plan with, and has none; name one with --base"
     ):
@@ -170,32 +172,33 @@ def test_without_a_bank_or_a_run_there_is_nothing_to_plan_with(suite, run):
         api.plan_trials(suite, baseline="gone", run=run)
 
 
-def test_a_suite_that_names_no_bank_is_planned_with_the_only_one_that_there_is(
-    suite, bank, tmp_path, monkeypatch
+def test_a_suite_that_names_no_baseline_is_planned_with_the_only_one_that_there_is(
+    suite, baseline, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
     folder = Path("reports/baselines/two")
     folder.mkdir(parents=True)
-    shutil.copy(bank, folder)
-    assert api.plan_trials(suite).source == api.plan_trials(suite, baseline=str(bank)).source
+    shutil.copy(baseline, folder)
+    assert api.plan_trials(suite).source == api.plan_trials(suite, baseline=str(baseline)).source
     other = replace(
-        read_bank(bank), manifest=read_bank(bank).manifest.model_copy(update={"name": "b"})
+        read_baseline(baseline),
+        manifest=read_baseline(baseline).manifest.model_copy(update={"name": "b"}),
     )
-    write_bank(folder / "b.parquet", other)
-    with pytest.raises(UsageError, match=f"no baseline to plan with, and has b, {bank.stem};"):
+    write_baseline(folder / "b.parquet", other)
+    with pytest.raises(UsageError, match=f"no baseline to plan with, and has b, {baseline.stem};"):
         api.plan_trials(suite)
 
 
 @pytest.mark.parametrize("drop", [0.0, -0.1, 0.975, float("nan")])
-def test_a_drop_that_no_policy_has_is_refused(suite, bank, drop):
+def test_a_drop_that_no_policy_has_is_refused(suite, baseline, drop):
     with pytest.raises(UsageError, match=r"mean success is 0\.975; give a drop between"):
-        api.plan_trials(suite, baseline=str(bank), detect=drop)
+        api.plan_trials(suite, baseline=str(baseline), detect=drop)
 
 
-def test_a_run_or_a_bank_of_other_scenes_is_refused(suite, run, bank):
+def test_a_run_or_a_baseline_of_other_scenes_is_refused(suite, run, baseline):
     other = suite.with_name("other.yaml")
     other.write_text(SUITE.replace("flat/carpet_room, ", ""))
-    for source in ({"run": run}, {"baseline": str(bank)}):
+    for source in ({"run": run}, {"baseline": str(baseline)}):
         with pytest.raises(IncomparableError, match="flat/carpet_room is in one of them only"):
             api.plan_trials(other, **source)
     other.write_text(SUITE.replace("seed: 7", "seed: 8"))
@@ -210,7 +213,7 @@ def test_a_baseline_that_max_drop_is_too_large_for_is_refused(suite, run):
         api.plan_trials(other, run=run)
 
 
-def test_with_a_run_the_bank_that_the_suite_names_need_not_be_there(suite, run):
+def test_with_a_run_the_baseline_that_the_suite_names_need_not_be_there(suite, run):
     other = suite.with_name("named.yaml")
     other.write_text(SUITE.replace("rounds: 20", "rounds: 20, baseline: gone"))
     with pytest.raises(UsageError, match="has no baseline 'gone'"):

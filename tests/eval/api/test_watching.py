@@ -24,7 +24,7 @@ from nw_eval.cli.verbs.watch import checkpoint_line
 from nw_eval.engine.listener import NullListener
 from nw_eval.suite import load_suite
 from nw_eval.testing import FakeClock
-from nw_gate.results.bank_file import read_bank
+from nw_gate.results.baseline_file import read_baseline
 from nw_policies import load_bundle
 
 SUITE = """\
@@ -115,10 +115,10 @@ def test_the_latest_comes_first_and_each_is_gated_against_the_best_before_it(tra
     assert more.checkpoints[:3] == found.checkpoints
     # The best was chosen by its run: its baseline is of other starts, and so is the comparison.
     [file] = (found.folder / "baselines").rglob("*.parquet")
-    bank, suite = read_bank(file), load_suite("one.yaml")
-    assert bank.manifest.held_out
-    assert (bank.manifest.starts, bank.manifest.policy.checkpoint_digest) == (6, two.sha256)
-    assert bank.manifest.key.seed not in {suite.seed, 0}
+    baseline, suite = read_baseline(file), load_suite("one.yaml")
+    assert baseline.manifest.held_out
+    assert (baseline.manifest.starts, baseline.manifest.policy.checkpoint_digest) == (6, two.sha256)
+    assert baseline.manifest.key.seed not in {suite.seed, 0}
     verdict = api.judge(found.folder / last_run(more), baseline=str(file)).verdict
     assert (verdict.against.basis, verdict.against.word) == ("fresh", "REGRESSED")
     # The best's own run is compared with it, too: it met other starts.

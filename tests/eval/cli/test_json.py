@@ -113,7 +113,7 @@ def test_a_plan_of_trials_is_an_object_with_a_point_for_each_drop(
 
 def test_a_series_is_an_object_with_a_checkpoint_for_each_place() -> None:
     series = BisectedSeries(
-        bank="good",
+        baseline="good",
         checkpoints=("a.onnx", "b.onnx", "c.onnx"),
         runs={},
         found=Bisection(words={0: "PASS", 1: "REGRESSED", 2: "REGRESSED"}, length=3),

@@ -150,7 +150,7 @@ def go(tmp_path):
     return run
 
 
-class Contest:
+class BaselineComparison:
     """Asks nothing of the run but what is enough."""
 
     def __init__(self, enough):
@@ -179,7 +179,7 @@ def session_of(tmp_path):
             How(workers=workers, in_process=workers is None),
             out=None if resume else tmp_path / name,
             resume=tmp_path / name if resume else None,
-            contest=None if enough is None else Contest(enough),
+            comparison=None if enough is None else BaselineComparison(enough),
         )
 
     return run
@@ -336,7 +336,7 @@ def enough_after(first, *, followed=(), ended=0):
         if not lacking and len(rows) >= ended:
             return RunStanding(first=first, followed=followed)
         nexts = lacking if followed else range(5)
-        return RunStanding(first=0, ahead=tuple(place for place in nexts if place not in rows))
+        return RunStanding(first=0, pending=tuple(place for place in nexts if place not in rows))
 
     return enough
 

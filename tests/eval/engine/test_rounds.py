@@ -134,7 +134,7 @@ class Until:
         return RunStanding(
             first=first,
             followed=self.followed if is_settled else (),
-            ahead=tuple(place for place in nexts if place not in ended),
+            pending=tuple(place for place in nexts if place not in ended),
             waits_for=self.waits_for if is_settled else (),
         )
 

@@ -262,7 +262,7 @@ def test_ctrl_c_ends_the_session_and_says_how_the_run_goes_on(
     assert 0 < len(api.report(folder).rows) < 3, "what had ended is kept"
 
 
-def test_a_bank_is_saved_for_a_review_and_passes_once_it_is_there(
+def test_a_baseline_is_saved_for_a_review_and_passes_once_it_is_there(
     suite, run, pytester, monkeypatch, folders, other
 ):
     monkeypatch.setattr(baselines_saved, "starts_for", lambda _: 1)
@@ -276,18 +276,18 @@ def test_a_bank_is_saved_for_a_review_and_passes_once_it_is_there(
     arguments = ("tiny.yaml", "-v", "-rfs", "--nw-update-baseline")
     first = run(*arguments)
     first.assert_outcomes(skipped=1, failed=1)
-    bank = "reports/baselines/tiny/stand.parquet"
+    baseline = "reports/baselines/tiny/stand.parquet"
     first.stdout.fnmatch_lines(
         [
-            f"{bank} is new: stand, 1 start in each scene",
+            f"{baseline} is new: stand, 1 initial state in each scene",
             "Check what has changed, commit it, and run again without --nw-update-baseline.",
-            f"FAILED tiny.yaml::verdict - {bank} is new*",
+            f"FAILED tiny.yaml::verdict - {baseline} is new*",
             "SKIPPED * the baseline is being saved",
         ]
     )
-    content = (pytester.path / bank).read_bytes()
+    content = (pytester.path / baseline).read_bytes()
     run(*arguments).assert_outcomes(skipped=1, passed=1)
-    assert (pytester.path / bank).read_bytes() == content
+    assert (pytester.path / baseline).read_bytes() == content
 
     same = run("tiny.yaml", "--nw-baseline", "stand")
     same.assert_outcomes(passed=2)

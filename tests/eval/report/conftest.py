@@ -2,7 +2,7 @@ import pytest
 
 from nw_gate.results.provenance import CodeInfo, MachineInfo, PolicyInfo, RunInfo, SceneInfo
 from nw_gate.results.row import Row
-from nw_gate.stats.bank.curve import CurvePoint
+from nw_gate.stats.baseline.curve import CurvePoint
 from nw_gate.stats.interval import Interval
 from nw_gate.verdict import Comparison, SceneDrop
 
@@ -55,8 +55,8 @@ def regressed():
         evidence=2.5e6, named=True, waypoint=2,
     )  # fmt: skip
     return Comparison(
-        word="REGRESSED", bank="shipped", policy="go1-act-rgb", basis="panel", claim="fresh",
-        trials=80, budget=320, starts=60, mean_regressed=True, false_alarm=0.07,
+        word="REGRESSED", baseline_name="shipped", policy="go1-act-rgb", basis="panel",
+        claim="fresh", trials=80, budget=320, starts=60, mean_regressed=True, false_alarm=0.07,
         baseline=0.925, drop=0.25, interval=Interval(0.12, 0.41),
         max_drop=0.1, tolerate=0.02, scene_drop=0.1, alpha_pass=0.05, alpha_regr=0.01,
         scenes=(fell,), reasons=("worse than the baseline shipped",),

@@ -15,7 +15,7 @@ from nw_eval.reporting.tables.trials import parting, worst_table
 from nw_eval.suite import Gate
 from nw_gate.absolute import judge
 from nw_gate.baseline.combine import combined
-from nw_gate.results.bank import Start
+from nw_gate.results.baseline import Start
 from nw_gate.stats.interval import Interval
 from nw_gate.verdict import Recheck, SceneDrop
 
@@ -119,7 +119,7 @@ def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page, found):
     assert "confirm it with --seed-set fresh" in pinned
     assert "The seed set is fresh: it follows from what the checkpoint computes" in fresh
     assert "On this fresh seed set (seed 7) success is exactly" in fresh
-    assert "same starts), fresh |" in " ".join(fresh.split())
+    assert "same initial states), fresh |" in " ".join(fresh.split())
 
 
 def test_the_page_of_the_same_policy_says_what_was_taken_over_and_what_ran_again(page, found):
@@ -200,15 +200,15 @@ def test_a_worst_trial_says_what_the_baseline_s_policy_did_from_the_same_start(m
     completed = make_row("a", 0, 4, **times)
     passed = "The baseline's policy passed waypoint 2"
     assert parting(fell, completed) == f"{passed} at 3.1 s and completed at 6.3 s."
-    bank = Start(
+    baseline = Start(
         scene="a", task="hurdles", seed_index=0, success=0.5, completed=False,
         waypoints_reached=2, waypoints_total=4, outcome="fell", end_reason="roll", trajectory="",
     )  # fmt: skip
-    # A bank does not say when.
-    assert parting(fell, bank) == f"{passed} and fell."
-    either = replace(bank, waypoints_reached=1)
+    # A baseline does not say when.
+    assert parting(fell, baseline) == f"{passed} and fell."
+    either = replace(baseline, waypoints_reached=1)
     assert parting(fell, either).startswith("The baseline's policy did not pass waypoint 2 either")
-    less = replace(bank, waypoints_reached=0)
+    less = replace(baseline, waypoints_reached=0)
     assert parting(fell, less).startswith("The baseline's policy reached 0 of 4 waypoints")
     assert parting(fell, None) == ""
     named = worst_table([fell], Path("x"), rivals={"t": completed})

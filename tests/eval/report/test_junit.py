@@ -11,7 +11,7 @@ from nw_eval.reporting.junit import junit_of_error, junit_xml
 from nw_eval.reporting.scene_states import suite_lines
 from nw_eval.suite import Gate
 from nw_gate.absolute import judge
-from nw_gate.baseline.combine import without_bank
+from nw_gate.baseline.combine import without_baseline
 
 BAR = Gate(success_rate=0.75)
 FOLDER = Path("reports/r")
@@ -117,13 +117,13 @@ def test_the_kind_of_a_result_is_the_verdicts(make_row, make_run, reached, gate,
 
 def test_an_invalid_run_skips_its_scenes(make_row, make_run):
     rows = [make_row("a", k, 4) for k in range(3)]
-    verdict = without_bank(judge(rows, BAR, {"a": 3}), "the bank is gone")
+    verdict = without_baseline(judge(rows, BAR, {"a": 3}), "the baseline is gone")
     suite = read(junit_xml(make_run({"a": 3}), rows, verdict, FOLDER, None))
     assert (suite.get("skipped"), suite.get("errors"), suite.get("failures")) == ("1", "1", "0")
     error = cases(suite)["nw.hurdles verdict"].find("error")
     assert error is not None
     assert error.get("type") == "invalid"
-    assert "the bank is gone" in (error.text or "")
+    assert "the baseline is gone" in (error.text or "")
 
 
 def test_an_error_of_a_trial_is_told_in_its_scene(make_row, make_run):

@@ -7,7 +7,7 @@ import pytest
 from nw_eval.reporting.scene_states import scene_states, worst_first
 from nw_eval.suite import Gate
 from nw_gate.absolute import judge
-from nw_gate.baseline.combine import combined, without_bank
+from nw_gate.baseline.combine import combined, without_baseline
 from nw_gate.stats.interval import Interval
 from nw_gate.verdict import SceneDrop
 
@@ -59,7 +59,7 @@ def test_holes_are_errors_of_their_scenes_only(make_row):
 
 def test_nothing_of_an_invalid_run_is_judged(make_row):
     verdict = judge(rows_of(make_row, good=[4] * 20, bad=[0] * 20), BAR, {"good": 20, "bad": 20})
-    assert set(states(without_bank(verdict, "the bank moved")).values()) == {"unjudged"}
+    assert set(states(without_baseline(verdict, "the baseline moved")).values()) == {"unjudged"}
 
 
 def test_a_run_that_is_regressed_by_nothing_of_its_scenes_blames_none(make_row):

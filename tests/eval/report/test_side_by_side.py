@@ -73,7 +73,7 @@ def test_the_terminal_has_ranks_scenes_and_partings(found):
     assert rows["hurdles/b"] == ["hurdles/b", "10", "1.000", "1.000", "0.000"]
     assert "x       hurdles/b            2  0 of 10        10 of 10          yes" in lines
     assert "new|er  all together         2  0 of 10        5 of 10           suspect" in lines
-    assert "3 starts of some only left out" in " ".join(lines)
+    assert "3 initial states of some only left out" in " ".join(lines)
 
 
 def test_success_by_task_stands_where_there_are_several(found):

@@ -8,11 +8,11 @@ import pytest
 
 from nw_eval.suite import new_suite
 from nw_gate.baseline.match import drawn_order
-from nw_gate.results.bank import (
-    Against,
-    BankPolicy,
+from nw_gate.results.baseline import (
+    BaselinePolicy,
     BaselineResults,
     ControlArm,
+    LoadedBaseline,
     Manifest,
     Panel,
     PanelInfo,
@@ -33,7 +33,7 @@ from nw_gate.results.row import Row
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from nw_gate.results.bank import Stratum
+    from nw_gate.results.baseline import Stratum
 
     Scores = Mapping[str | Stratum, Sequence[float | None]]
     Visits = Mapping[str | Stratum, Sequence[float | None] | float | None]
@@ -47,7 +47,7 @@ def stratum_of(name: str | Stratum) -> Stratum:
 
 @pytest.fixture
 def make_run():
-    """Provenance of a candidate's run: the first trials of each scene, or drawn from a bank."""
+    """Provenance of a candidate's run: the first trials of each scene, or drawn from a baseline."""
 
     def make(scenes: Sequence[str], trials: int, **changes: Any) -> RunInfo:
         settings = {
@@ -100,8 +100,8 @@ def make_run():
 
 
 @pytest.fixture
-def make_bank():
-    """A bank that holds for a run, from the baseline's successes on every start of each scene."""
+def make_baseline():
+    """A baseline that holds for a run, from its successes on every start of each scene."""
 
     def make(
         run: RunInfo, scores: Scores, *, outcome: str = "fell", **changes: Any
@@ -128,7 +128,7 @@ def make_bank():
             "suite": "hurdles",
             "starts": max(len(values) for values in scores.values()),
             "key": key_of(run),
-            "policy": BankPolicy(
+            "policy": BaselinePolicy(
                 name="go1-act-rgb", card_digest="b1" * 32, checkpoint_digest="bb" * 32
             ),
             "panels": (
@@ -191,23 +191,23 @@ def drawn(run: RunInfo, scores: Visits, first: int | None = None) -> list[Row]:
 
 @pytest.fixture
 def make_against():
-    """A bank as runs are compared with it."""
+    """A baseline as runs are compared with it."""
 
-    def make(bank: BaselineResults, control: ControlArm | None = None) -> Against:
-        info = BaselineInfo(name=bank.manifest.name, path="shipped.parquet", sha256="5a" * 32)
-        return Against(info=info, bank=bank, content=b"", control=control)
+    def make(baseline: BaselineResults, control: ControlArm | None = None) -> LoadedBaseline:
+        info = BaselineInfo(name=baseline.manifest.name, path="shipped.parquet", sha256="5a" * 32)
+        return LoadedBaseline(info=info, results=baseline, content=b"", control=control)
 
     return make
 
 
 @pytest.fixture
 def make_control():
-    """Trials of a bank's own policy beside a candidate; arguments as for `drawn`."""
+    """Trials of a baseline's own policy beside a candidate; arguments as for `drawn`."""
 
     def make(
-        run: RunInfo, bank: BaselineResults, scores: Visits, first: int | None = None
+        run: RunInfo, baseline: BaselineResults, scores: Visits, first: int | None = None
     ) -> ControlArm:
-        own = bank.manifest.policy
+        own = baseline.manifest.policy
         policy = PolicyInfo(
             name=own.name, card_digest=own.card_digest, checkpoint_digest=own.checkpoint_digest
         )

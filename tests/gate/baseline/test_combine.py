@@ -14,13 +14,13 @@ from nw_gate.absolute import judge, word_of_bar
 from nw_gate.baseline.combine import combined, judge_run
 from nw_gate.baseline.judge import compare
 from nw_gate.baseline.match import drawn_order
-from nw_gate.results.bank import trajectory
+from nw_gate.results.baseline import trajectory
 from nw_gate.results.provenance import PolicyInfo, StopInfo, recheck_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_gate.results.bank import BaselineResults
+    from nw_gate.results.baseline import BaselineResults
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
     from nw_gate.verdict import Verdict
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture
-def against(make_run, make_bank, make_against):
+def against(make_run, make_baseline, make_against):
     run = make_run(["a"], 20, drawn_from=60)
-    return compare([], run, make_against(make_bank(run, {"a": [1.0] * 60})), Gate())
+    return compare([], run, make_against(make_baseline(run, {"a": [1.0] * 60})), Gate())
 
 
 @pytest.mark.parametrize(
@@ -102,33 +102,35 @@ def of_the_baseline_itself(make_run: Make, *, ran: float, **changes: Any) -> tup
     return run, Gate(success_rate=ran)
 
 
-def in_bits(rows: list[Row], bank: BaselineResults) -> BaselineResults:
-    """Return a bank that has the bits of some rows at their starts."""
+def in_bits(rows: list[Row], baseline: BaselineResults) -> BaselineResults:
+    """Return a baseline that has the bits of some rows at their starts."""
     ways = {(row.scene, row.seed_index): trajectory(row) for row in rows}
     starts = tuple(
         replace(start, trajectory=ways.get((start.scene, start.seed_index), start.trajectory))
-        for start in bank.panels[0].starts
+        for start in baseline.panels[0].starts
     )
-    return replace(bank, panels=(replace(bank.panels[0], starts=starts), *bank.panels[1:]))
+    return replace(
+        baseline, panels=(replace(baseline.panels[0], starts=starts), *baseline.panels[1:])
+    )
 
 
 @pytest.fixture
 def judged_by(make_against):
-    """The verdict on rows against a bank."""
+    """The verdict on rows against a baseline."""
 
-    def judged(bank: BaselineResults, rows: list[Row], run: RunInfo, gate: Gate) -> Verdict:
-        return judge_run(rows, run, gate, make_against(bank))
+    def judged(baseline: BaselineResults, rows: list[Row], run: RunInfo, gate: Gate) -> Verdict:
+        return judge_run(rows, run, gate, make_against(baseline))
 
     return judged
 
 
 def test_a_baseline_is_taken_over_where_one_start_of_every_scene_ran_again_and_is_equal(
-    make_run, make_bank, drawn_rows, judged_by
+    make_run, make_baseline, drawn_rows, judged_by
 ):
     run, gate = of_the_baseline_itself(make_run, ran=0.75)
     rows = drawn_rows(run, {"a": [1.0], "b": [1.0]})
-    bank = in_bits(rows, make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
-    verdict = judged_by(bank, rows, run, gate)
+    baseline = in_bits(rows, make_baseline(run, dict.fromkeys("ab", [1.0] * 60)))
+    verdict = judged_by(baseline, rows, run, gate)
     assert (verdict.verdict, verdict.n) == ("PASS", 120)
     over = "same policy as baseline shipped: 2 trials re-run and identical"
     whole = f"PASS · {over} · completed 120 of 120 trials in 2 scenes · success 1.000 "
@@ -137,7 +139,7 @@ def test_a_baseline_is_taken_over_where_one_start_of_every_scene_ran_again_and_i
     # A row of the cache has not run, and a scene of which no start ran says nothing.
     cached = [rows[0], replace(rows[1], cached=True)]
     for short in (rows[:1], cached):
-        assert judged_by(bank, short, run, gate).verdict != "PASS"
+        assert judged_by(baseline, short, run, gate).verdict != "PASS"
 
 
 @pytest.mark.parametrize(
@@ -145,18 +147,18 @@ def test_a_baseline_is_taken_over_where_one_start_of_every_scene_ran_again_and_i
     [{"success": 0.5}, {"outcome": "fell"}, {"waypoints_reached": 3}, {"trajectory": "f" * 16}],
 )
 def test_a_start_that_ran_again_otherwise_than_the_baseline_says_is_invalid_and_named(
-    make_run, make_bank, drawn_rows, judged_by, change
+    make_run, make_baseline, drawn_rows, judged_by, change
 ):
     run, gate = of_the_baseline_itself(make_run, ran=0.75)
     rows = drawn_rows(run, {"a": [1.0], "b": [1.0]})
-    bank = in_bits(rows, make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
+    baseline = in_bits(rows, make_baseline(run, dict.fromkeys("ab", [1.0] * 60)))
     met = rows[1].seed_index
     wrong = tuple(
         replace(start, **change) if (start.scene, start.seed_index) == ("b", met) else start
-        for start in bank.panels[0].starts
+        for start in baseline.panels[0].starts
     )
-    bank = replace(bank, panels=(replace(bank.panels[0], starts=wrong),))
-    verdict = judged_by(bank, rows, run, gate)
+    baseline = replace(baseline, panels=(replace(baseline.panels[0], starts=wrong),))
+    verdict = judged_by(baseline, rows, run, gate)
     assert (verdict.verdict, verdict.exit_code) == ("INVALID", 5)
     assert verdict.reasons[0].endswith("is not what its own policy does: 1 of 2 trials differ")
     assert verdict.reasons[1].startswith(f"scene b start {met}: ")
@@ -167,17 +169,17 @@ def test_a_start_that_ran_again_otherwise_than_the_baseline_says_is_invalid_and_
 
 
 def test_where_bits_are_others_the_baseline_s_own_policy_is_compared_with_it_like_any_other(
-    make_run, make_bank, drawn_rows, judged_by
+    make_run, make_baseline, drawn_rows, judged_by
 ):
     run, gate = of_the_baseline_itself(make_run, ran=0.25)
-    bank = make_bank(run, dict.fromkeys("ab", [1.0] * 50 + [0.5] * 10))
+    baseline = make_baseline(run, dict.fromkeys("ab", [1.0] * 50 + [0.5] * 10))
     elsewhere = run.model_copy(update={"engine": {**run.engine, "cpu": "haswell"}})
 
     def judged(scores: list[float], gate: Gate) -> Verdict:
         stop = StopInfo(first=2 * len(scores), trials=dict.fromkeys("ab", len(scores)))
         here = elsewhere.model_copy(update={"stop": stop})
         rows = drawn_rows(here, dict.fromkeys("ab", scores), first=stop.first)
-        return judged_by(bank, rows, here, gate)
+        return judged_by(baseline, rows, here, gate)
 
     verdict = judged([1.0] * 17 + [0.5] * 3, gate)
     assert (verdict.verdict, verdict.n) == ("PASS", 40)
@@ -199,7 +201,7 @@ def test_where_bits_are_others_the_baseline_s_own_policy_is_compared_with_it_lik
     stop = StopInfo(first=2, trials=dict.fromkeys("ab", 1))
     here = elsewhere.model_copy(update={"stop": stop})
     rows = drawn_rows(here, {"a": [0.0], "b": [1.0]}, first=2)
-    early = judged_by(bank, rows, here, Gate(false_alarm=0.45)).against
+    early = judged_by(baseline, rows, here, Gate(false_alarm=0.45)).against
     assert early is not None
     assert (early.word, early.mean_regressed) == ("INCONCLUSIVE", False)
     few = judged([1.0] * 2, Gate())
@@ -211,11 +213,11 @@ def test_where_bits_are_others_the_baseline_s_own_policy_is_compared_with_it_lik
 
 
 def test_the_same_bits_with_another_result_are_invalid_on_every_class_of_machine(
-    make_run, make_bank, drawn_rows, judged_by
+    make_run, make_baseline, drawn_rows, judged_by
 ):
     run, gate = of_the_baseline_itself(make_run, ran=0.01)
     rows = drawn_rows(run, {"a": [0.5], "b": [0.5]})
-    forged = in_bits(rows, make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
+    forged = in_bits(rows, make_baseline(run, dict.fromkeys("ab", [1.0] * 60)))
     elsewhere = run.model_copy(update={"engine": {**run.engine, "cpu": "haswell"}})
     verdict = judged_by(forged, rows, elsewhere, gate)
     assert verdict.verdict == "INVALID"
@@ -228,12 +230,15 @@ def test_the_same_bits_with_another_result_are_invalid_on_every_class_of_machine
     assert judged_by(forged, [other], elsewhere, gate).verdict != "INVALID"
 
 
-def test_of_another_candidate_a_bank_that_its_own_policy_contradicted_makes_the_run_invalid(
-    make_run, make_bank, make_against
+def test_of_another_candidate_a_baseline_that_its_own_policy_contradicted_makes_the_run_invalid(
+    make_run, make_baseline, make_against
 ):
-    moved = ("the bank is not what its own policy does: the same bits, other results", "scene a")
+    moved = (
+        "the baseline is not what its own policy does: the same bits, other results",
+        "scene a",
+    )
     there = make_run(["a"], 20, drawn_from=60)
-    against = make_against(make_bank(there, {"a": [1.0] * 60}))
+    against = make_against(make_baseline(there, {"a": [1.0] * 60}))
     begun = against.info.model_copy(update={"moved": moved})
     elsewhere = {**there.engine, "cpu": "haswell"}
     run = make_run(
@@ -242,19 +247,19 @@ def test_of_another_candidate_a_bank_that_its_own_policy_contradicted_makes_the_
     verdict = judge_run([], run, Gate(), against)
     assert (verdict.verdict, verdict.exit_code) == ("INVALID", 5)
     assert verdict.reasons[:-1] == moved
-    own = against.bank.manifest
+    own = against.results.manifest
     assert f"`nw-eval baseline verify {own.suite}/{own.name} --trials 100%`" in verdict.reasons[-1]
     renew = f"--policy {own.policy.name} --name {own.name} --renew` saves it again"
     assert verdict.reasons[-1].endswith(renew)
 
 
 def test_a_second_panel_that_is_true_does_not_speak_for_a_first_one_that_is_forged(
-    make_run, make_bank, drawn_rows, judged_by
+    make_run, make_baseline, drawn_rows, judged_by
 ):
     run, gate = of_the_baseline_itself(make_run, ran=0.9)
     rows = drawn_rows(run, {"a": [0.5], "b": [0.5]})
-    true = in_bits(rows, make_bank(run, dict.fromkeys("ab", [0.5] * 60)))
-    forged = make_bank(run, dict.fromkeys("ab", [1.0] * 60))
+    true = in_bits(rows, make_baseline(run, dict.fromkeys("ab", [0.5] * 60)))
+    forged = make_baseline(run, dict.fromkeys("ab", [1.0] * 60))
     infos = [
         forged.manifest.panels[0].model_copy(update={"machine": {"cpu": cpu}})
         for cpu in ("here", "there")
@@ -271,10 +276,10 @@ def test_a_second_panel_that_is_true_does_not_speak_for_a_first_one_that_is_forg
 
 
 def test_the_bar_rests_on_the_first_trials_alone_and_on_none_that_were_followed(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     run = make_run("ab", 20, drawn_from=60)
-    against = make_against(make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
+    against = make_against(make_baseline(run, dict.fromkeys("ab", [1.0] * 60)))
     gate = Gate(success_rate=0.8)
     places = [place for place, (scene, *_) in enumerate(order_of(run)) if scene == "b"]
     followed = tuple(place for place in places if place >= 12)[:20]
@@ -309,10 +314,10 @@ def order_of(run: RunInfo) -> list[Any]:
 
 
 def test_informational_scenes_bear_on_no_bar_of_a_draw(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     run = make_run(["a", "toy"], 20, drawn_from=60)
-    against = make_against(make_bank(run, {"a": [1.0] * 60, "toy": [1.0] * 60}))
+    against = make_against(make_baseline(run, {"a": [1.0] * 60, "toy": [1.0] * 60}))
     gate = Gate(success_rate=0.7, tiers={"toy": "informational"})
     count = dict.fromkeys(["a", "toy"], 0)
     for scene, *_ in order_of(run)[:30]:
@@ -344,16 +349,16 @@ def test_the_bar_after_each_trial_is_the_bar_of_the_verdict(make_run, drawn_rows
     assert "INCONCLUSIVE" in words
 
 
-def test_what_was_found_out_of_a_bank_on_this_machine_is_of_that_bank_alone(
-    make_run, make_bank, drawn_rows, make_against, make_control
+def test_what_was_found_out_of_a_baseline_on_this_machine_is_of_that_baseline_alone(
+    make_run, make_baseline, drawn_rows, make_against, make_control
 ):
     there = make_run(["a"], 20, drawn_from=60)
-    bank = make_bank(there, {"a": [1.0] * 60})
-    begun = make_against(bank).info.model_copy(update={"checked": "control"})
+    baseline = make_baseline(there, {"a": [1.0] * 60})
+    begun = make_against(baseline).info.model_copy(update={"checked": "control"})
     elsewhere = {**there.engine, "cpu": "haswell"}
     run = make_run(["a"], 20, drawn_from=60, engine=elsewhere, baseline=begun)
     rows = drawn_rows(run, {"a": 1.0})
-    same_file = make_against(bank, make_control(run, bank, {"a": 1.0}))
+    same_file = make_against(baseline, make_control(run, baseline, {"a": 1.0}))
     found = judge_run(rows, run, Gate(max_drop=0.3), same_file).against
     assert found is not None
     assert (found.basis, found.word) == ("control", "PASS")
@@ -365,10 +370,10 @@ def test_what_was_found_out_of_a_bank_on_this_machine_is_of_that_bank_alone(
 
 
 def test_an_open_run_says_about_how_many_more_trials_would_settle_it(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     run = make_run(["a", "b"], 4, drawn_from=60)
-    against = make_against(make_bank(run, dict.fromkeys("ab", [1.0] * 55 + [0.5] * 5)))
+    against = make_against(make_baseline(run, dict.fromkeys("ab", [1.0] * 55 + [0.5] * 5)))
     verdict = judge_run(drawn_rows(run, dict.fromkeys("ab", 1.0)), run, Gate(), against)
     assert verdict.verdict == "INCONCLUSIVE"
     assert re.fullmatch(
@@ -379,10 +384,10 @@ def test_an_open_run_says_about_how_many_more_trials_would_settle_it(
 
 
 def test_a_run_whose_control_has_not_begun_misses_trials_and_is_not_refused(
-    make_run, make_bank, make_against
+    make_run, make_baseline, make_against
 ):
     there = make_run(["a"], 20, drawn_from=60)
-    against = make_against(make_bank(there, {"a": [1.0] * 60}))
+    against = make_against(make_baseline(there, {"a": [1.0] * 60}))
     elsewhere = {**there.engine, "cpu": "haswell"}
     cut = make_run(["a"], 20, drawn_from=60, engine=elsewhere, baseline=against.info)
     verdict = judge_run([], cut, Gate(), against)

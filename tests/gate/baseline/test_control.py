@@ -15,11 +15,11 @@ from nw_eval.suite import Gate
 from nw_gate.absolute import judge
 from nw_gate.baseline.judge import compare, setup_of
 from nw_gate.baseline.match import contradictions
-from nw_gate.results.bank import trajectory
+from nw_gate.results.baseline import trajectory
 from nw_gate.settings import Validity
 
 if TYPE_CHECKING:
-    from nw_gate.results.bank import Against
+    from nw_gate.results.baseline import LoadedBaseline
 
 
 SCENES = ("a", "b", "c", "d")
@@ -29,42 +29,44 @@ LOW = dict.fromkeys(SCENES, [1.0, 0.5] * 30)
 
 
 @pytest.fixture
-def bank(make_run, make_bank):
+def baseline(make_run, make_baseline):
     """A baseline that was perfect on the machine that it was saved on."""
-    return make_bank(make_run(SCENES, 20, drawn_from=60), dict.fromkeys(SCENES, [1.0] * 60))
+    return make_baseline(make_run(SCENES, 20, drawn_from=60), dict.fromkeys(SCENES, [1.0] * 60))
 
 
 @pytest.fixture
-def run(make_run, bank, make_against):
+def run(make_run, baseline, make_against):
     """A run on another class of machine, on which the baseline's policy has shown other bits."""
     here = make_run(SCENES, 20, drawn_from=60)
-    info = make_against(bank).info.model_copy(update={"checked": "control"})
+    info = make_against(baseline).info.model_copy(update={"checked": "control"})
     elsewhere = {**here.engine, "cpu": "haswell"}
     return here.model_copy(update={"engine": elsewhere, "baseline": info})
 
 
 @pytest.fixture
-def beside(run, bank, make_against, make_control):
+def beside(run, baseline, make_against, make_control):
     """The baseline as the run is compared with it, by what its policy scores there."""
 
-    def make(scores: Any, first: int | None = None) -> Against:
-        return make_against(bank, make_control(run, bank, scores, first))
+    def make(scores: Any, first: int | None = None) -> LoadedBaseline:
+        return make_against(baseline, make_control(run, baseline, scores, first))
 
     return make
 
 
-def test_an_equal_policy_where_both_drifted_is_not_regressed_though_the_bank_would_convict_it(
-    run, bank, beside, drawn_rows, make_against
+def test_an_equal_policy_where_both_drifted_is_not_regressed_though_the_baseline_would_convict_it(
+    run, baseline, beside, drawn_rows, make_against
 ):
     rows = drawn_rows(run, LOW)
-    info = make_against(bank).info.model_copy(update={"checked": "bits"})
-    by_bank = compare(rows, run.model_copy(update={"baseline": info}), make_against(bank), GATE)
-    assert (by_bank.basis, by_bank.word) == ("panel", "REGRESSED")
+    info = make_against(baseline).info.model_copy(update={"checked": "bits"})
+    by_baseline = compare(
+        rows, run.model_copy(update={"baseline": info}), make_against(baseline), GATE
+    )
+    assert (by_baseline.basis, by_baseline.word) == ("panel", "REGRESSED")
     found = compare(rows, run, beside(LOW), GATE, power_forecast=True)
     assert (found.basis, found.claim, found.word) == ("control", "fresh", "PASS")
     assert (found.drop, found.control) == (0.0, 80)
     assert not any(item.named for item in found.scenes)
-    # What the bank says of its own machine is in no number: the control's trials are.
+    # What the baseline says of its own machine is in no number: the control's trials are.
     for item in found.scenes:
         assert item.baseline == item.candidate
     assert found.baseline == pytest.approx(0.75, abs=0.1)
@@ -76,7 +78,7 @@ def test_a_policy_that_is_worse_than_the_control_is_regressed(run, beside, drawn
     found = compare(drawn_rows(run, dict.fromkeys(SCENES, 0.25)), run, beside(PERFECT), GATE)
     assert (found.basis, found.word, found.mean_regressed) == ("control", "REGRESSED", True)
     assert (found.drop, found.baseline) == (0.75, 1.0)
-    # Better than a control that drifted is no drop, however far it is from the bank.
+    # Better than a control that drifted is no drop, however far it is from the baseline.
     low = beside(dict.fromkeys(SCENES, 0.25))
     assert compare(drawn_rows(run, dict.fromkeys(SCENES, 0.5)), run, low, GATE).word == "PASS"
 
@@ -130,9 +132,11 @@ def test_trials_of_the_control_that_are_missing_hold_the_ruling_back(run, beside
         assert (settled.word, settled.trials) == (both.word, both.trials)
 
 
-def test_without_a_control_s_trials_nothing_is_ruled(run, bank, drawn_rows, make_against, beside):
+def test_without_a_control_s_trials_nothing_is_ruled(
+    run, baseline, drawn_rows, make_against, beside
+):
     rows = drawn_rows(run, dict.fromkeys(SCENES, 0.0))
-    for against in (make_against(bank), beside(PERFECT, first=0)):
+    for against in (make_against(baseline), beside(PERFECT, first=0)):
         found = compare(rows, run, against, GATE)
         assert (found.word, found.trials, found.drop) == ("INCONCLUSIVE", 0, None)
         assert (found.basis, found.control) == ("control", 0)
@@ -180,7 +184,7 @@ def test_a_trial_that_left_the_captured_volume_is_no_pair(run, beside, drawn_row
 
 @pytest.mark.parametrize("arm", ["candidate", "control", "both"])
 def test_where_one_arm_left_the_captured_volume_the_pair_is_in_no_mean_and_the_other_arm_is_known(
-    arm, run, bank, beside, drawn_rows, make_against
+    arm, run, baseline, beside, drawn_rows, make_against
 ):
     rows, control = drawn_rows(run, {**PERFECT, "b": [0.5] * 60}), beside(PERFECT).control
     scene = rows[0].scene
@@ -194,7 +198,7 @@ def test_where_one_arm_left_the_captured_volume_the_pair_is_in_no_mean_and_the_o
         else row
         for row in control.rows
     ]
-    against = make_against(bank, replace(control, rows=tuple(theirs)))
+    against = make_against(baseline, replace(control, rows=tuple(theirs)))
     found = compare(mine, run, against, IN_VIEW)
     assert {item.scene: (item.baseline, item.candidate) for item in found.scenes} == {
         name: (1.0, 0.5 if name == "b" else 1.0) for name in SCENES
@@ -223,7 +227,7 @@ def test_a_scene_that_regressed_is_named_by_the_trials_beside_it(run, beside, dr
     assert (fell.named, fell.waypoint) == (True, 2), "of four waypoints one was reached"
     assert fell.ends is not None
     known, met = fell.ends
-    assert sum(known) == sum(met) == fell.trials, "its pairs, not the 60 starts of the bank"
+    assert sum(known) == sum(met) == fell.trials, "its pairs, not the 60 starts of the baseline"
     # Where the control fails there too nothing regressed.
     alike = compare(rows, run, beside({**PERFECT, "b": 0.25}), gate)
     assert [item.scene for item in alike.scenes if item.named] == []
@@ -238,7 +242,7 @@ def test_a_claim_about_the_panel_alone_has_no_control(run, beside, drawn_rows):
         )  # fmt: skip
 
 
-def test_rows_of_a_candidate_are_no_control(run, bank, beside, make_against):
+def test_rows_of_a_candidate_are_no_control(run, baseline, beside, make_against):
     control = beside(PERFECT).control
     assert control is not None
     for wrong in (
@@ -246,21 +250,23 @@ def test_rows_of_a_candidate_are_no_control(run, bank, beside, make_against):
         tuple(replace(row, checkpoint_digest="cc" * 32) for row in control.rows),
     ):
         with pytest.raises(StoreError, match="is not of this run"):
-            compare([], run, make_against(bank, replace(control, rows=wrong)), GATE)
+            compare([], run, make_against(baseline, replace(control, rows=wrong)), GATE)
 
 
-def test_the_same_bits_with_another_result_contradict_a_bank_and_other_bits_do_not(bank, beside):
+def test_the_same_bits_with_another_result_contradict_a_baseline_and_other_bits_do_not(
+    baseline, beside
+):
     control = beside(dict.fromkeys(SCENES, 0.5), first=4).control
     assert control is not None
-    assert contradictions(control.rows, bank, bank.panels[0]) == ()
+    assert contradictions(control.rows, baseline, baseline.panels[0]) == ()
     first = control.rows[0]
     starts = tuple(
         replace(start, trajectory=trajectory(first))
         if (start.scene, start.seed_index) == (first.scene, first.seed_index)
         else start
-        for start in bank.panels[0].starts
+        for start in baseline.panels[0].starts
     )
-    told = contradictions(control.rows, bank, replace(bank.panels[0], starts=starts))
+    told = contradictions(control.rows, baseline, replace(baseline.panels[0], starts=starts))
     assert told[0] == (
         "the baseline is not what its own policy go1-act-rgb does: the same bits, other results"
     )

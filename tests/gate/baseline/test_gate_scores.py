@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from nw_gate.baseline.combine import judge_run
-from nw_gate.results.bank import Against, BaselineResults
+from nw_gate.results.baseline import BaselineResults, LoadedBaseline
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
 from nw_gate.scores import specs_of
@@ -33,20 +33,20 @@ def with_scores(
     ]
 
 
-def bank_with(bank: BaselineResults, **values: float) -> BaselineResults:
+def baseline_with(baseline: BaselineResults, **values: float) -> BaselineResults:
     panels = tuple(
         replace(
             panel,
             starts=tuple(replace(start, scores=tuple(values.items())) for start in panel.starts),
         )
-        for panel in bank.panels
+        for panel in baseline.panels
     )
-    manifest = bank.manifest.model_copy(update={"scores": tuple(values)})
+    manifest = baseline.manifest.model_copy(update={"scores": tuple(values)})
     return BaselineResults(manifest=manifest, panels=panels)
 
 
 @pytest.fixture
-def judged(make_run, make_bank, drawn_rows, make_against):
+def judged(make_run, make_baseline, drawn_rows, make_against):
     """Judge a run whose every trial completed, by the values of its scores and the baseline's."""
 
     def judge(
@@ -63,10 +63,10 @@ def judged(make_run, make_bank, drawn_rows, make_against):
         suite = {"gate": gate}
         run: RunInfo = make_run(scenes, trials, suite=suite, **ways)
         run = run.model_copy(update={"scores": specs_of(now)})
-        against: Against | None = None
+        against: LoadedBaseline | None = None
         if before is not None:
-            bank = make_bank(run, dict.fromkeys(scenes, [1.0] * 60))
-            against = make_against(bank_with(bank, **before))
+            baseline = make_baseline(run, dict.fromkeys(scenes, [1.0] * 60))
+            against = make_against(baseline_with(baseline, **before))
             rows = drawn_rows(run, dict.fromkeys(scenes, success))
         else:
             rows = drawn_rows(

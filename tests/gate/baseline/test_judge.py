@@ -16,7 +16,7 @@ from nw_gate.baseline.judge import compare
 from nw_gate.baseline.match import draw_trials, drawn_order
 from nw_gate.results.provenance import PolicyInfo
 from nw_gate.results.request import Request
-from nw_gate.stats.bank.trials import CRITICAL_TRIALS
+from nw_gate.stats.baseline.trials import CRITICAL_TRIALS
 
 if TYPE_CHECKING:
     from nw_gate.results.provenance import RunInfo
@@ -30,15 +30,15 @@ STRETCH = {"suppress_health_check": [HealthCheck.function_scoped_fixture], "dead
 @pytest.mark.parametrize(("alpha", "trials"), [(1 / 2.48, 10), (1 / 6.3, 20), (0.05, 33)])
 @pytest.mark.parametrize("scenes", ["a", "abcd"])
 def test_an_unchanged_policy_passes_after_the_trials_that_the_figures_say(
-    make_run, make_bank, drawn_rows, make_against, scenes,
+    make_run, make_baseline, drawn_rows, make_against, scenes,
     alpha, trials
 ):  # fmt: skip
     # E_pass of perfect trials against a perfect baseline: 2.485 after 10, 6.306 after 20, and 20 is
     # reached after 33; no method can do it in fewer than 29, as .9^28 > .05. They are of fresh
-    # starts: that the bank has 60 changes nothing.
+    # starts: that the baseline has 60 changes nothing.
     rounds = 40 // len(scenes)
     run = make_run(scenes, rounds, **WAYS)
-    against = make_against(make_bank(run, dict.fromkeys(scenes, [1.0] * 60)))
+    against = make_against(make_baseline(run, dict.fromkeys(scenes, [1.0] * 60)))
     rows = drawn_rows(run, dict.fromkeys(scenes, 1.0))
     gate = GATE.model_copy(update={"confidence": 1 - alpha})
     found = compare(rows, run, against, gate, power_forecast=True)
@@ -60,11 +60,11 @@ def test_an_unchanged_policy_passes_after_the_trials_that_the_figures_say(
     ("alpha", "trials"), [(1 / 8.96, 1), (1 / 8.97, 2), (0.01, 2), (1 / 221, 3)]
 )
 def test_a_policy_that_always_fails_is_convicted_as_soon_as_the_figures_say(
-    make_run, make_bank, drawn_rows, make_against, alpha, trials
+    make_run, make_baseline, drawn_rows, make_against, alpha, trials
 ):
     # E_regr: (0) 8.9668; (0, 0) 160.93; (0, 0, 0) 4,402.
     run = make_run("abcd", 20, **WAYS)
-    against = make_against(make_bank(run, dict.fromkeys("abcd", [1.0] * 60)))
+    against = make_against(make_baseline(run, dict.fromkeys("abcd", [1.0] * 60)))
     gate = GATE.model_copy(update={"false_alarm": alpha})
     found = compare(
         drawn_rows(run, dict.fromkeys("abcd", 0.0)), run, against, gate, power_forecast=True
@@ -86,14 +86,14 @@ def test_a_policy_that_always_fails_is_convicted_as_soon_as_the_figures_say(
 @settings(max_examples=40, **STRETCH)
 @given(data=st.data())
 def test_neither_the_order_of_rows_nor_what_is_known_beyond_changes_what_is_found(
-    make_run, make_bank, drawn_rows, make_against, data
+    make_run, make_baseline, drawn_rows, make_against, data
 ):
     """The rule of the order: its first trials, and later ones of scenes that are waited for."""
     score = st.sampled_from([0.0, 0.5, 1.0, 1.0, 1.0, None])
     names = ["a", "b", "toy"]
     run = make_run(names, 20, **WAYS)
-    bank = make_bank(run, {"a": [1.0] * 60, "b": [1.0, 1.0, 0.5] * 20, "toy": [1.0] * 60})
-    against = make_against(bank)
+    baseline = make_baseline(run, {"a": [1.0] * 60, "b": [1.0, 1.0, 0.5] * 20, "toy": [1.0] * 60})
+    against = make_against(baseline)
     gate = Gate(
         max_drop=0.3,
         tolerate=0.2,
@@ -129,11 +129,11 @@ def often_met(run: RunInfo, trials: int) -> str:
 
 
 def test_a_pass_waits_for_a_scene_that_may_have_regressed_and_follows_its_trials_alone(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     names = [f"s{number:02d}" for number in range(12)]
     run = make_run(names, 20, **WAYS)
-    against = make_against(make_bank(run, dict.fromkeys(names, [1.0] * 60)))
+    against = make_against(make_baseline(run, dict.fromkeys(names, [1.0] * 60)))
     gate = Gate(max_drop=0.2, tolerate=0.15, scene_drop=0.1)
     one = often_met(run, 15)
     rows = drawn_rows(run, {**dict.fromkeys(names, 1.0), one: [0.0, 0.0, *[1.0] * 60]})
@@ -158,10 +158,10 @@ def test_a_pass_waits_for_a_scene_that_may_have_regressed_and_follows_its_trials
 
 
 def test_on_fresh_starts_evidence_is_that_of_a_panel_without_end(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     pinned = make_run(["a"], 3)
-    against = make_against(make_bank(pinned, {"a": [1.0] * 60}))
+    against = make_against(make_baseline(pinned, {"a": [1.0] * 60}))
     run = make_run(["a"], 3, panel="fresh", suite={"seed": 77}, baseline=against.info)
     rows = drawn_rows(run, {"a": 0.0})
     assert [row.seed_index for row in rows] == [0, 1, 2]
@@ -175,11 +175,11 @@ def test_on_fresh_starts_evidence_is_that_of_a_panel_without_end(
 
 
 def test_a_scene_that_regressed_is_named_even_under_pass_and_convicts_if_critical(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     names = [f"s{number:02d}" for number in range(12)]
     run = make_run(names, 20, **WAYS)
-    against = make_against(make_bank(run, dict.fromkeys(names, [1.0] * 60)))
+    against = make_against(make_baseline(run, dict.fromkeys(names, [1.0] * 60)))
     one = often_met(run, 15)
     rows = drawn_rows(run, {**dict.fromkeys(names, 1.0), one: 0.0})
     gate = Gate(max_drop=0.25, tolerate=0.2, scene_drop=0.1)
@@ -197,10 +197,10 @@ def test_a_scene_that_regressed_is_named_even_under_pass_and_convicts_if_critica
 
 
 def test_a_report_bounds_how_often_a_policy_that_is_good_enough_is_regressed(
-    make_run, make_bank, make_against
+    make_run, make_baseline, make_against
 ):
     run = make_run("abcd", 20, **WAYS)
-    against = make_against(make_bank(run, dict.fromkeys("abcd", [1.0] * 60)))
+    against = make_against(make_baseline(run, dict.fromkeys("abcd", [1.0] * 60)))
     for changes, bound in (
         ({}, 0.01),
         ({"tiers": {"a": "critical"}}, 0.01 * (1 + 1 / 4)),
@@ -213,11 +213,11 @@ def test_a_report_bounds_how_often_a_policy_that_is_good_enough_is_regressed(
 
 
 def test_a_report_has_the_drops_that_each_scene_s_own_trials_leave_possible(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     names = ["fell", "held", "seen"]
     run = make_run(names, 20, **WAYS)
-    against = make_against(make_bank(run, dict.fromkeys(names, [1.0] * 60)))
+    against = make_against(make_baseline(run, dict.fromkeys(names, [1.0] * 60)))
     rows = drawn_rows(run, {**dict.fromkeys(names, 1.0), "fell": 0.0}, first=24)
     gate = Gate(max_drop=0.7, tolerate=0.6, scene_drop=0.1, tiers={"seen": "informational"})
     assert {item.interval for item in compare(rows, run, against, gate).scenes} == {None}
@@ -239,10 +239,10 @@ def test_a_report_has_the_drops_that_each_scene_s_own_trials_leave_possible(
 
 
 def test_informational_scenes_are_in_the_order_and_in_the_table_and_in_no_evidence(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     run = make_run(["a", "toy"], 20, **WAYS)
-    against = make_against(make_bank(run, {"a": [1.0] * 60, "toy": [0.5] * 60}))
+    against = make_against(make_baseline(run, {"a": [1.0] * 60, "toy": [0.5] * 60}))
     gate = GATE.model_copy(update={"max_drop": 0.2, "tiers": {"toy": "informational"}})
     rows = drawn_rows(run, {"a": 1.0, "toy": 0.0})
     found = compare(rows, run, against, gate)
@@ -262,11 +262,11 @@ def test_informational_scenes_are_in_the_order_and_in_the_table_and_in_no_eviden
 
 
 def test_what_is_changed_in_a_scene_makes_strata_of_their_own(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     run = make_run(["a"], 20, suite={"perturb": {"friction": (0.6, 1.25)}}, **WAYS)
     icy, dry = ("a", (("friction", 0.6),)), ("a", (("friction", 1.25),))
-    against = make_against(make_bank(run, {icy: [0.75] * 60, dry: [1.0] * 60}))
+    against = make_against(make_baseline(run, {icy: [0.75] * 60, dry: [1.0] * 60}))
     found = compare(drawn_rows(run, {icy: 0.0, dry: 1.0}), run, against, GATE)
     assert found.word == "REGRESSED"
     assert found.baseline == 0.875
@@ -276,13 +276,15 @@ def test_what_is_changed_in_a_scene_makes_strata_of_their_own(
     assert found.scenes[1].evidence <= 1
 
 
-def test_the_policy_of_the_baseline_passes_without_a_trial(make_run, make_bank, make_against):
+def test_the_policy_of_the_baseline_passes_without_a_trial(make_run, make_baseline, make_against):
     run = make_run(["a"], 10, policy=PolicyInfo(
         name="renamed", card_digest="b1" * 32, checkpoint_digest="bb" * 32
     ))  # fmt: skip
     # A class of machine that nobody has checked, few starts and a bad baseline: no matter.
-    bank = make_bank(make_run(["a"], 10, engine={**run.engine, "cpu": "other"}), {"a": [0.05] * 5})
-    against = make_against(bank)
+    baseline = make_baseline(
+        make_run(["a"], 10, engine={**run.engine, "cpu": "other"}), {"a": [0.05] * 5}
+    )
+    against = make_against(baseline)
     found = compare([], run, against, GATE)
     assert (found.word, found.basis, found.trials, found.drop) == ("PASS", "same", 0, None)
     assert found.reasons == ("same policy as baseline shipped: no trial re-run",)
@@ -309,37 +311,37 @@ def test_the_policy_of_the_baseline_passes_without_a_trial(make_run, make_bank, 
     ],
 )
 def test_a_policy_that_nobody_can_identify_is_tested_even_against_itself(
-    make_run, make_bank, make_against, policy
+    make_run, make_baseline, make_against, policy
 ):
     run = make_run(["a"], 20, policy=policy, **WAYS)
-    bank = make_bank(run, {"a": [1.0] * 60})
-    named = bank.manifest.policy.model_copy(
+    baseline = make_baseline(run, {"a": [1.0] * 60})
+    named = baseline.manifest.policy.model_copy(
         update={"card_digest": policy.card_digest, "checkpoint_digest": policy.checkpoint_digest}
     )
-    bank = replace(bank, manifest=bank.manifest.model_copy(update={"policy": named}))
-    assert compare([], run, make_against(bank), GATE).word == "INCONCLUSIVE"
+    baseline = replace(baseline, manifest=baseline.manifest.model_copy(update={"policy": named}))
+    assert compare([], run, make_against(baseline), GATE).word == "INCONCLUSIVE"
 
 
 def test_a_policy_that_failed_by_itself_scores_nothing_wherever_it_got_to(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     run = make_run(["a"], 20, **WAYS)
     rows = [
         replace(row, outcome="policy_failed", end_reason="action", error_type="policy_error")
         for row in drawn_rows(run, {"a": 0.75})
     ]
-    found = compare(rows, run, make_against(make_bank(run, {"a": [0.75] * 60})), GATE)
+    found = compare(rows, run, make_against(make_baseline(run, {"a": [0.75] * 60})), GATE)
     assert (found.word, found.scenes[0].candidate) == ("REGRESSED", 0.0)
     # A baseline that fails so is scored so: who fails alike is no worse.
-    bank = make_bank(run, {"a": [0.75] * 40 + [1.0] * 20}, outcome="policy_failed")
-    assert compare(rows, run, make_against(bank), GATE).baseline == pytest.approx(1 / 3)
+    baseline = make_baseline(run, {"a": [0.75] * 40 + [1.0] * 20}, outcome="policy_failed")
+    assert compare(rows, run, make_against(baseline), GATE).baseline == pytest.approx(1 / 3)
 
 
 def test_a_trial_that_ended_in_an_error_counts_worst_for_each_side(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     run = make_run(["a", "b"], 20, **WAYS)
-    against = make_against(make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
+    against = make_against(make_baseline(run, dict.fromkeys("ab", [1.0] * 60)))
     gate = Gate(max_drop=0.3)
 
     def of(b: list[float | None]) -> Any:
@@ -360,10 +362,10 @@ def test_a_trial_that_ended_in_an_error_counts_worst_for_each_side(
 
 
 def test_trials_beyond_one_that_has_not_ended_are_not_looked_at(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     run = make_run(["a", "b"], 20, **WAYS)
-    against = make_against(make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
+    against = make_against(make_baseline(run, dict.fromkeys("ab", [1.0] * 60)))
     rows = drawn_rows(run, {"a": 0.5, "b": 1.0})
     for gap in (0, 1, 3):
         hole = compare([*rows[:gap], *rows[gap + 1 :]], run, against, GATE)
@@ -372,10 +374,10 @@ def test_trials_beyond_one_that_has_not_ended_are_not_looked_at(
 
 
 def test_the_waypoint_from_which_a_scene_that_regressed_parts_is_named(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     run = make_run(["a", "b"], 20, **WAYS)
-    against = make_against(make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
+    against = make_against(make_baseline(run, dict.fromkeys("ab", [1.0] * 60)))
     found = compare(drawn_rows(run, {"a": 0.5, "b": 1.0}), run, against, GATE)
     fallen, fine = found.scenes
     # Two of four waypoints were always reached, and the third never: they part there.
@@ -388,10 +390,10 @@ def test_the_waypoint_from_which_a_scene_that_regressed_parts_is_named(
 
 
 def test_what_is_not_decided_says_what_is_known_of_the_drop(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     run = make_run(["a"], 20, **WAYS)
-    against = make_against(make_bank(run, {"a": [1.0] * 60}))
+    against = make_against(make_baseline(run, {"a": [1.0] * 60}))
     found = compare(
         drawn_rows(run, {"a": [1.0] * 9 + [0.5]}), run, against, GATE, power_forecast=True
     )
@@ -417,12 +419,12 @@ def test_what_is_not_decided_says_what_is_known_of_the_drop(
 
 
 @pytest.fixture
-def perfect(make_run, make_bank, make_against):
+def perfect(make_run, make_baseline, make_against):
     """A run of some scenes with so many rounds, against a baseline that never failed there."""
 
     def make(names: list[str], rounds: int) -> tuple[RunInfo, Any]:
         run = make_run(names, rounds, **WAYS)
-        return run, make_against(make_bank(run, dict.fromkeys(names, [1.0] * 60)))
+        return run, make_against(make_baseline(run, dict.fromkeys(names, [1.0] * 60)))
 
     return make
 
@@ -470,10 +472,10 @@ def test_no_pass_before_every_critical_scene_has_been_met(perfect, drawn_rows):
 
 
 def test_a_candidate_that_is_better_so_far_is_said_to_have_risen(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     run = make_run(["a"], 20, **WAYS)
-    against = make_against(make_bank(run, {"a": [0.5] * 60}))
+    against = make_against(make_baseline(run, {"a": [0.5] * 60}))
     found = compare(drawn_rows(run, {"a": [1.0] * 2}), run, against, GATE, power_forecast=True)
     assert found.interval is not None
     low, high = found.interval
@@ -485,10 +487,10 @@ def test_a_candidate_that_is_better_so_far_is_said_to_have_risen(
 
 
 def test_success_is_what_the_baseline_has_in_the_scenes_that_were_met_less_the_drop(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     run = make_run(["a", "b"], 5, **WAYS)
-    against = make_against(make_bank(run, {"a": [1.0] * 60, "b": [0.5] * 60}))
+    against = make_against(make_baseline(run, {"a": [1.0] * 60, "b": [0.5] * 60}))
     rows = drawn_rows(run, {"a": 0.75, "b": 0.5})
     found = compare(rows, run, against, GATE)
     met = [1.0 if row.scene == "a" else 0.5 for row in rows]
@@ -503,10 +505,10 @@ def test_success_is_what_the_baseline_has_in_the_scenes_that_were_met_less_the_d
 
 
 def test_a_run_of_some_scenes_is_compared_in_those_and_says_so(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     whole = make_run(["a", "b"], 20, **WAYS)
-    against = make_against(make_bank(whole, {"a": [1.0] * 60, "b": [0.5] * 60}))
+    against = make_against(make_baseline(whole, {"a": [1.0] * 60, "b": [0.5] * 60}))
     run = make_run(["a"], 20, request=Request(scenes=("a",)), **WAYS)
     found = compare(drawn_rows(run, {"a": 1.0}), run, against, GATE)
     assert (found.baseline, found.left_aside) == (1.0, 1)
@@ -516,11 +518,11 @@ def test_a_run_of_some_scenes_is_compared_in_those_and_says_so(
 
 
 def test_rows_of_a_run_without_a_baseline_are_compared_in_an_order_of_their_own(
-    make_run, make_bank, run_rows, make_against
+    make_run, make_baseline, run_rows, make_against
 ):
     run = make_run(["a", "b", "c"], 15)
     perfect = {name: [1.0] * 15 for name in "abc"}
-    against = make_against(make_bank(run, {name: [1.0] * 45 for name in "abc"}))
+    against = make_against(make_baseline(run, {name: [1.0] * 45 for name in "abc"}))
     found = compare(run_rows(run, perfect), run, against, GATE)
     assert (found.word, found.claim, found.trials, found.budget) == ("PASS", "fresh", 33, 45)
     # They are taken in the order of a draw, not as they are numbered.
@@ -536,13 +538,13 @@ def test_rows_of_a_run_without_a_baseline_are_compared_in_an_order_of_their_own(
     assert [item.candidate for item in early.scenes if item.scene == scene] == [0.0]
 
 
-def test_no_claim_about_fresh_starts_takes_a_small_bank_for_all_there_is(
-    make_run, make_bank, drawn_rows, make_against
+def test_no_claim_about_fresh_starts_takes_a_small_baseline_for_all_there_is(
+    make_run, make_baseline, drawn_rows, make_against
 ):
     # Six starts, all met. Of these six the drop could be .1 only if all but none of the rest
     # failed: one failure makes that "impossible" of the panel. Of fresh starts it says little.
     run = make_run("ab", 6, drawn_from=6)
-    against = make_against(make_bank(run, dict.fromkeys("ab", [1.0] * 6)))
+    against = make_against(make_baseline(run, dict.fromkeys("ab", [1.0] * 6)))
     rows = drawn_rows(run, {"a": [0.0, *[1.0] * 5], "b": 1.0})
     found = compare(rows, run, against, GATE)
     assert found.claim == "fresh"
@@ -553,10 +555,10 @@ def test_no_claim_about_fresh_starts_takes_a_small_bank_for_all_there_is(
 
 
 def test_a_claim_about_the_panel_alone_is_a_suite_s_choice_takes_fewer_trials_and_is_said(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     run = make_run("ab", 20, drawn_from=20)
-    against = make_against(make_bank(run, dict.fromkeys("ab", [1.0] * 20)))
+    against = make_against(make_baseline(run, dict.fromkeys("ab", [1.0] * 20)))
     rows = drawn_rows(run, dict.fromkeys("ab", 1.0))
     panel = GATE.model_copy(update={"claim": "panel"})
     fresh, known = (compare(rows, run, against, gate) for gate in (GATE, panel))
@@ -580,36 +582,36 @@ def test_a_claim_about_the_panel_alone_is_a_suite_s_choice_takes_fewer_trials_an
             compare([], other, against, panel)
 
 
-def test_a_bank_needs_as_many_starts_as_rounds_and_says_how_many_to_save(
-    make_run, make_bank, make_against
+def test_a_baseline_needs_as_many_starts_as_rounds_and_says_how_many_to_save(
+    make_run, make_baseline, make_against
 ):
     drawn = make_run(["a"], 20, drawn_from=20)
-    few = make_against(make_bank(drawn, {"a": [1.0] * 10}))
+    few = make_against(make_baseline(drawn, {"a": [1.0] * 10}))
     with pytest.raises(
-        IncomparableError, match="has 10 starts in each scene; the run needs 20"
+        IncomparableError, match="has 10 initial states in each scene; the run needs 20"
     ) as caught:
         compare([], drawn, few, GATE)
     assert caught.value.exit_code == 5
     command = "nw-eval baseline save hurdles --policy go1-act-rgb --trials 20"
     assert command in str(caught.value)
-    enough = make_against(make_bank(drawn, {"a": [1.0] * 20}))
+    enough = make_against(make_baseline(drawn, {"a": [1.0] * 20}))
     # The rule of three starts for each round is gone, for fresh starts too.
     for run in (drawn, make_run(["a"], 20), make_run(["a"], 20, panel="fresh", suite={"seed": 1})):
         assert compare([], run, enough, GATE).claim == "fresh"
 
 
-def test_a_baseline_that_nobody_can_fall_short_of_is_refused(make_run, make_bank, make_against):
+def test_a_baseline_that_nobody_can_fall_short_of_is_refused(make_run, make_baseline, make_against):
     run = make_run(["a"], 20, **WAYS)
-    against = make_against(make_bank(run, {"a": [0.1] * 60}))
+    against = make_against(make_baseline(run, {"a": [0.1] * 60}))
     with pytest.raises(IncomparableError, match=r"mean success is 0.100: no policy can be worse"):
         compare([], run, against, GATE)
 
 
 def test_a_run_that_an_older_nw_eval_drew_round_by_round_is_refused(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     run = make_run(["a"], 20, **WAYS)
-    against = make_against(make_bank(run, {"a": [1.0] * 60}))
+    against = make_against(make_baseline(run, {"a": [1.0] * 60}))
     rows = drawn_rows(run, {"a": 1.0})
     old = run.model_copy(update={"run": 1})
     with pytest.raises(
@@ -623,10 +625,10 @@ def test_a_run_that_an_older_nw_eval_drew_round_by_round_is_refused(
 
 
 def test_on_another_class_of_machine_the_baseline_must_have_been_checked(
-    make_run, make_bank, drawn_rows, make_against
+    make_run, make_baseline, drawn_rows, make_against
 ):
     here = make_run(["a"], 40, **WAYS)
-    against = make_against(make_bank(here, {"a": [1.0] * 60}))
+    against = make_against(make_baseline(here, {"a": [1.0] * 60}))
     elsewhere = {**here.engine, "cpu": "haswell"}
     run = make_run(["a"], 40, engine=elsewhere, baseline=against.info, **WAYS)
     rows = drawn_rows(run, {"a": 1.0})
@@ -646,9 +648,11 @@ def test_on_another_class_of_machine_the_baseline_must_have_been_checked(
             compare(rows, other, against, GATE)
 
 
-def test_rows_that_are_not_of_the_run_are_refused(make_run, make_bank, drawn_rows, make_against):
+def test_rows_that_are_not_of_the_run_are_refused(
+    make_run, make_baseline, drawn_rows, make_against
+):
     run = make_run(["a"], 20, **WAYS)
-    against = make_against(make_bank(run, {"a": [1.0] * 60}))
+    against = make_against(make_baseline(run, {"a": [1.0] * 60}))
     rows = drawn_rows(run, {"a": 1.0}, first=3)
     with pytest.raises(StoreError, match="appears twice"):
         compare([*rows, rows[1]], run, against, GATE)
@@ -661,16 +665,18 @@ def test_rows_that_are_not_of_the_run_are_refused(make_run, make_bank, drawn_row
 
 
 def test_a_claim_about_new_starts_needs_a_sample_of_them_and_says_which_command_saves_it(
-    make_run, make_bank, make_against
+    make_run, make_baseline, make_against
 ):
     drawn = make_run(["a"], 20, drawn_from=20)
-    few = make_against(make_bank(drawn, {"a": [1.0] * 20}))
+    few = make_against(make_baseline(drawn, {"a": [1.0] * 20}))
     with pytest.raises(IncomparableError) as caught:
         compare([], drawn, few, Gate())
-    assert "has 20 starts in each scene; a claim about new starts needs 30" in str(caught.value)
+    assert "has 20 initial states in each scene; a claim about new initial states needs 30" in str(
+        caught.value
+    )
     assert "nw-eval baseline save hurdles --policy go1-act-rgb --trials 30" in str(caught.value)
     enough = make_run(["a"], 20, drawn_from=30)
-    known = make_against(make_bank(enough, {"a": [1.0] * 30}))
+    known = make_against(make_baseline(enough, {"a": [1.0] * 30}))
     assert compare([], enough, known, Gate()).claim == "fresh"
     # Of the panel alone it says what it says.
     alone = Gate(claim="panel")

@@ -1,4 +1,4 @@
-"""Against a bank, a trial that left the captured volume is a start of which nothing is known."""
+"""Against a baseline, a trial that left the captured volume says nothing about its start."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ def gone(rows: Sequence[Row], places: Sequence[int]) -> list[Row]:
 
 
 @pytest.fixture
-def meet(make_run, make_bank, drawn_rows, make_against):
-    """A candidate's rows in two scenes, by the successes of their trials, beside a perfect bank."""
+def meet(make_run, make_baseline, drawn_rows, make_against):
+    """A candidate's rows in two scenes, by their trials' successes, beside a perfect baseline."""
 
     def make(
         a: Sequence[float | None] | float, b: Sequence[float | None] | float, first: int = 40
     ) -> Any:
         run = make_run(["a", "b"], 20, drawn_from=60)
-        bank = make_bank(run, {"a": [1.0] * 60, "b": [1.0] * 60})
-        return drawn_rows(run, {"a": a, "b": b}, first), run, make_against(bank)
+        baseline = make_baseline(run, {"a": [1.0] * 60, "b": [1.0] * 60})
+        return drawn_rows(run, {"a": a, "b": b}, first), run, make_against(baseline)
 
     return make
 
@@ -83,6 +83,6 @@ def test_over_the_cap_not_even_a_policy_that_always_falls_is_convicted(meet):
     assert sum("over gate.validity.at_most" in reason for reason in verdict.reasons) == 1
 
 
-def test_without_the_key_the_bank_is_met_as_ever(meet):
+def test_without_the_key_the_baseline_is_met_as_ever(meet):
     rows, run, against = meet([1.0, 0.5] * 30, 1.0)
     assert compare(gone(rows, range(15)), run, against, BARE) == compare(rows, run, against, BARE)

@@ -1,4 +1,4 @@
-"""What a gate would show of policies that it has not met, from banks and from rows."""
+"""What a gate would show of policies that it has not met, from baselines and from rows."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from nw_gate.baseline.power_forecast import (
     NOTHING_MORE,
     about_more_trials,
     in_a_sentence,
-    outset_of_bank,
+    outset_of_baseline,
     outset_of_rows,
 )
 from nw_gate.settings import Gate
-from nw_gate.stats.bank.curve import CurvePoint, Progress
+from nw_gate.stats.baseline.curve import CurvePoint, Progress
 
 GOOD = [1.0] * 29 + [0.75]
 GATE = Gate.model_validate({"max_drop": 0.2, "tiers": {"d": "informational", "b": "critical"}})
 
 
 @pytest.fixture
-def panel(make_run, make_bank):
+def panel(make_run, make_baseline):
     run = make_run("abcd", 30)
-    return make_bank(run, dict.fromkeys("abcd", GOOD)).panels[0]
+    return make_baseline(run, dict.fromkeys("abcd", GOOD)).panels[0]
 
 
-def test_a_bank_is_counted_by_waypoints_without_scenes_that_are_not_judged(panel):
-    outset = outset_of_bank(panel, GATE)
+def test_a_baseline_is_counted_by_waypoints_without_scenes_that_are_not_judged(panel):
+    outset = outset_of_baseline(panel, GATE)
     assert [course.counts.tolist() for course in outset.seen] == [[0, 0, 0, 1, 29]] * 3
     assert outset.rules.tiers == ("supporting", "critical", "supporting")
     assert (outset.scenes, outset.starts, outset.known) == (3, 30, True)
@@ -37,15 +37,15 @@ def test_a_bank_is_counted_by_waypoints_without_scenes_that_are_not_judged(panel
     assert (outset.rules.margins.max_drop, outset.budget) == (0.2, 60)
 
 
-def test_no_more_trials_are_foreseen_than_a_bank_has_starts(make_run, make_bank):
-    small = make_bank(make_run("ab", 8), {name: [1.0] * 8 for name in "ab"}).panels[0]
-    assert outset_of_bank(small, GATE).budget == 16
+def test_no_more_trials_are_foreseen_than_a_baseline_has_starts(make_run, make_baseline):
+    small = make_baseline(make_run("ab", 8), {name: [1.0] * 8 for name in "ab"}).panels[0]
+    assert outset_of_baseline(small, GATE).budget == 16
 
 
 def test_a_policy_that_failed_by_itself_counts_as_in_a_comparison(panel):
     failed = dataclasses.replace(panel.starts[0], outcome="policy_failed", success=0.5)
     changed = dataclasses.replace(panel, starts=(failed, *panel.starts[1:]))
-    assert outset_of_bank(changed, GATE).seen[0].counts.tolist() == [1, 0, 0, 1, 28]
+    assert outset_of_baseline(changed, GATE).seen[0].counts.tolist() == [1, 0, 0, 1, 28]
 
 
 def test_a_task_without_waypoints_counts_what_was_completed(panel):
@@ -56,7 +56,7 @@ def test_a_task_without_waypoints_counts_what_was_completed(panel):
         )
         for start, end in zip(panel.starts, ends * 4, strict=True)
     ]
-    outset = outset_of_bank(dataclasses.replace(panel, starts=tuple(starts)), GATE)
+    outset = outset_of_baseline(dataclasses.replace(panel, starts=tuple(starts)), GATE)
     assert [course.counts.tolist() for course in outset.seen] == [[1, 29]] * 3
     assert outset.baseline == pytest.approx(29 / 30)
 
@@ -82,13 +82,13 @@ def test_cells_of_perturbations_are_scenes_of_their_own(make_run, run_rows):
 
 def test_what_nobody_can_drop_from_is_refused(panel):
     with pytest.raises(IncomparableError, match="no scene counts"):
-        outset_of_bank(panel, Gate.model_validate({"tiers": {"*": "informational"}}))
+        outset_of_baseline(panel, Gate.model_validate({"tiers": {"*": "informational"}}))
     with pytest.raises(IncomparableError, match=r"mean success is 0\.992: no policy can be worse"):
-        outset_of_bank(panel, Gate.model_validate({"max_drop": 0.995}))
+        outset_of_baseline(panel, Gate.model_validate({"max_drop": 0.995}))
 
 
 def test_three_points_are_foreseen_and_said(panel):
-    outset = outset_of_bank(panel, GATE)
+    outset = outset_of_baseline(panel, GATE)
     same, half, worse = outset.power_forecast()
     # One of each kind: every waypoint is harder, or all is completed or nothing.
     assert [[x.drop for x in points] for points in (same, half, worse)] == [
@@ -121,13 +121,13 @@ def test_power_is_said_as_a_range_over_how_policies_fail():
 
 
 def test_a_budget_and_what_is_compared_with_can_be_said(panel):
-    few = outset_of_bank(panel, GATE, budget=12)
+    few = outset_of_baseline(panel, GATE, budget=12)
     assert (few.budget, few.against) == (12, "fresh")
     assert few.power_forecast()[0][0].undecided == 1.0
-    assert outset_of_bank(panel, GATE, budget=1000).budget == 90
+    assert outset_of_baseline(panel, GATE, budget=1000).budget == 90
     # A gate beside a control has to tell two policies' luck apart: it takes more pairs.
-    alone = outset_of_bank(panel, GATE)
-    beside = outset_of_bank(panel, GATE, against="control")
+    alone = outset_of_baseline(panel, GATE)
+    beside = outset_of_baseline(panel, GATE, against="control")
     assert beside.power_forecast()[2][0].trials > alone.power_forecast()[2][0].trials
 
 

@@ -1,4 +1,4 @@
-"""From a run's folder and a bank's file to the verdict, as `nw-eval gate` and `report` take it."""
+"""From a run's folder and a baseline's file to the verdict, as in `nw-eval gate` and `report`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 from nw_base.errors import IncomparableError, StoreError, UsageError
 from nw_eval import api
 from nw_eval.cli import main
-from nw_gate.results.bank_file import write_bank
+from nw_gate.results.baseline_file import write_baseline
 from nw_gate.results.ended import write_trials
 from nw_gate.results.journal import Journal, JournalHeader
 from nw_gate.results.provenance import BaselineInfo, StopInfo, read_run_info, write_run_info
@@ -24,12 +24,12 @@ from nw_gate.results.run_folder import RunFolder
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from nw_gate.results.bank import BaselineResults
+    from nw_gate.results.baseline import BaselineResults
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
 
 
-BANK = Path("reports/baselines/hurdles/shipped.parquet")
+BASELINE = Path("reports/baselines/hurdles/shipped.parquet")
 GATE = {"gate": {"max_drop": 0.1}}
 
 
@@ -54,9 +54,9 @@ def write_run(run: RunInfo, rows: Iterable[Row]) -> str:
     return "run"
 
 
-def keep(bank: BaselineResults, path: Path = BANK) -> None:
+def keep(baseline: BaselineResults, path: Path = BASELINE) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_bank(path, bank)
+    write_baseline(path, baseline)
 
 
 @pytest.fixture(autouse=True)
@@ -70,8 +70,10 @@ def run(make_run):
 
 
 @pytest.fixture
-def bank(run, make_bank):
-    return make_bank(run, {"a": [1.0] * 60, "b": [1.0] * 60, "c": [0.5, 1.0] * 30, "d": [1.0] * 60})
+def baseline(run, make_baseline):
+    return make_baseline(
+        run, {"a": [1.0] * 60, "b": [1.0] * 60, "c": [0.5, 1.0] * 30, "d": [1.0] * 60}
+    )
 
 
 def like(low: float = 1.0) -> dict[str, list[float] | float]:
@@ -85,12 +87,12 @@ def gate(*words: str) -> int:
     return ended.value.code
 
 
-def test_rows_that_exist_are_judged_against_a_bank_and_a_page_is_written_where_asked_for(
-    run, bank, drawn_rows, capsys
+def test_rows_that_exist_are_judged_against_a_baseline_and_a_page_is_written_where_asked_for(
+    run, baseline, drawn_rows, capsys
 ):
-    keep(bank)
+    keep(baseline)
     folder = write_run(run, drawn_rows(run, like()))
-    assert gate(folder, "--baseline", str(BANK), "--out", "page.md") == 0
+    assert gate(folder, "--baseline", str(BASELINE), "--out", "page.md") == 0
     out = capsys.readouterr().out
     assert "PASS \u00b7 completed " in out
     assert ", drop 0." in " ".join(out.partition("PASS \u00b7 ")[2].split())
@@ -99,8 +101,8 @@ def test_rows_that_exist_are_judged_against_a_bank_and_a_page_is_written_where_a
     assert not Path("run/report.md").exists()
 
 
-def test_a_drop_regresses_and_names_the_scene(run, bank, drawn_rows, capsys):
-    keep(bank)
+def test_a_drop_regresses_and_names_the_scene(run, baseline, drawn_rows, capsys):
+    keep(baseline)
     folder = write_run(run, drawn_rows(run, like(low=0.25)))
     assert gate(folder, "--baseline", "shipped") == 1
     out = capsys.readouterr().out
@@ -130,13 +132,13 @@ def test_without_a_baseline_only_the_bar_is_judged_and_the_fix_is_named(run, dra
 
 
 def test_a_suites_baseline_counts_for_its_own_policy_and_for_others_the_bar_alone(
-    make_run, make_bank, drawn_rows
+    make_run, make_baseline, drawn_rows
 ):
     run = make_run(
         ["a"], 20, drawn_from=60, suite={"gate": {"baseline": "shipped", "success_rate": 0.5}}
     )
     run = run.model_copy(update={"own_policy": False})
-    keep(make_bank(run, {"a": [1.0] * 60}))
+    keep(make_baseline(run, {"a": [1.0] * 60}))
     folder = write_run(run, drawn_rows(run, {"a": 1.0}))
     for judged in (api.judge(folder), api.report(folder)):
         assert (judged.verdict.verdict, judged.verdict.against) == ("PASS", None)
@@ -147,12 +149,12 @@ def test_a_suites_baseline_counts_for_its_own_policy_and_for_others_the_bar_alon
         )
     named = api.judge(folder, baseline="shipped").verdict
     assert named.against is not None
-    assert named.against.bank == "shipped"
+    assert named.against.baseline_name == "shipped"
 
 
-def test_the_bank_that_a_suite_names_is_the_default(make_run, make_bank, drawn_rows):
+def test_the_baseline_that_a_suite_names_is_the_default(make_run, make_baseline, drawn_rows):
     run = make_run(["a"], 20, drawn_from=60, suite={"gate": {"baseline": "shipped"}})
-    keep(make_bank(run, {"a": [1.0] * 60}))
+    keep(make_baseline(run, {"a": [1.0] * 60}))
     folder = write_run(run, drawn_rows(run, {"a": 1.0}))
     assert api.judge(folder).verdict.against is not None
     assert api.judge(folder, baseline="none").verdict.against is None
@@ -160,21 +162,21 @@ def test_the_bank_that_a_suite_names_is_the_default(make_run, make_bank, drawn_r
     assert api.report(folder).verdict.against is None
 
 
-def test_a_report_shows_the_verdict_against_the_bank_that_the_run_was_begun_with(
-    run, bank, drawn_rows, make_bank
+def test_a_report_shows_the_verdict_against_the_baseline_that_the_run_was_begun_with(
+    run, baseline, drawn_rows, make_baseline
 ):
-    keep(bank)
-    content = BANK.read_bytes()
+    keep(baseline)
+    content = BASELINE.read_bytes()
     info = BaselineInfo(
-        name="shipped", path=str(BANK.resolve()), sha256=sha256(content).hexdigest()
+        name="shipped", path=str(BASELINE.resolve()), sha256=sha256(content).hexdigest()
     )
     begun = run.model_copy(update={"baseline": info})
     folder = write_run(begun, drawn_rows(run, like(low=0.25)))
-    copy = RunFolder(path=Path(folder)).bank("shipped")
+    copy = RunFolder(path=Path(folder)).baseline_file("shipped")
     copy.parent.mkdir()
     copy.write_bytes(content)
     # Whatever becomes of the file, the run's own copy is what it was judged by.
-    keep(make_bank(run, {name: [0.25] * 60 for name in "abcd"}))
+    keep(make_baseline(run, {name: [0.25] * 60 for name in "abcd"}))
     judged = api.report(folder)
     assert judged.verdict.verdict == "REGRESSED"
     assert api.judge(folder).verdict == judged.verdict
@@ -188,23 +190,27 @@ def test_a_report_shows_the_verdict_against_the_bank_that_the_run_was_begun_with
         api.judge(folder)
 
 
-def test_a_bank_that_its_own_policy_contradicted_makes_a_run_invalid(run, bank, drawn_rows):
-    keep(bank)
-    digest = sha256(BANK.read_bytes()).hexdigest()
-    moved = ("the bank is not what its own policy does: the same bits, other results",)
-    info = BaselineInfo(name="shipped", path=str(BANK.resolve()), sha256=digest, moved=moved)
+def test_a_baseline_that_its_own_policy_contradicted_makes_a_run_invalid(run, baseline, drawn_rows):
+    keep(baseline)
+    digest = sha256(BASELINE.read_bytes()).hexdigest()
+    moved = ("the baseline is not what its own policy does: the same bits, other results",)
+    info = BaselineInfo(name="shipped", path=str(BASELINE.resolve()), sha256=digest, moved=moved)
     begun = run.model_copy(update={"baseline": info, "stop": StopInfo(first=0)})
     judged = api.report(write_run(begun, drawn_rows(run, {})))
     assert (judged.verdict.verdict, judged.exit_code) == ("INVALID", 5)
     assert judged.verdict.reasons[:-1] == moved
 
 
-def test_a_short_run_shows_the_scenes_that_it_has_not_met(make_run, make_bank, drawn_rows, capsys):
+def test_a_short_run_shows_the_scenes_that_it_has_not_met(
+    make_run, make_baseline, drawn_rows, capsys
+):
     names = [f"s{number}" for number in range(9)]
     run = make_run(names, 20, drawn_from=60, suite={"gate": {"success_rate": 0.5}})
-    keep(make_bank(run, dict.fromkeys(names, [1.0] * 60)))
+    keep(make_baseline(run, dict.fromkeys(names, [1.0] * 60)))
     info = BaselineInfo(
-        name="shipped", path=str(BANK.resolve()), sha256=sha256(BANK.read_bytes()).hexdigest()
+        name="shipped",
+        path=str(BASELINE.resolve()),
+        sha256=sha256(BASELINE.read_bytes()).hexdigest(),
     )
     rows = drawn_rows(run, dict.fromkeys(names, 0.0), first=2)
     stop = StopInfo(first=2, trials=dict(Counter(row.scene for row in rows)))
@@ -228,9 +234,9 @@ def test_a_short_run_shows_the_scenes_that_it_has_not_met(make_run, make_bank, d
 
 
 def test_a_run_that_an_older_nw_eval_drew_round_by_round_is_refused_in_a_sentence(
-    run, bank, drawn_rows, capsys
+    run, baseline, drawn_rows, capsys
 ):
-    keep(bank)
+    keep(baseline)
     folder = write_run(run, drawn_rows(run, like()))
     written = read_run_info(Path("run/run.json"))
     assert written.run == 2
@@ -246,12 +252,14 @@ def test_a_run_that_an_older_nw_eval_drew_round_by_round_is_refused_in_a_sentenc
 
 @pytest.mark.parametrize("rounds", [3, 20])
 def test_a_run_on_fresh_starts_that_an_older_nw_eval_ended_early_is_refused_in_a_sentence(
-    rounds, bank, make_run, run_rows, capsys
+    rounds, baseline, make_run, run_rows, capsys
 ):
-    keep(bank)
+    keep(baseline)
     scores = like()
     known = BaselineInfo(
-        name="shipped", path=str(BANK.resolve()), sha256=sha256(BANK.read_bytes()).hexdigest()
+        name="shipped",
+        path=str(BASELINE.resolve()),
+        sha256=sha256(BASELINE.read_bytes()).hexdigest(),
     )
     fresh = make_run(list(scores), 20, panel="fresh", baseline=known, suite={**GATE, "seed": 1})
     met = run_rows(fresh, dict.fromkeys(scores, [1.0] * rounds))
@@ -262,7 +270,7 @@ def test_a_run_on_fresh_starts_that_an_older_nw_eval_ended_early_is_refused_in_a
         read_run_info(Path("run/run.json")).model_copy(update={"run": 1, "panel": "fresh"}),
     )
     (Path("run/bank")).mkdir()
-    keep(bank, Path("run/bank/shipped.parquet"))
+    keep(baseline, Path("run/bank/shipped.parquet"))
     for words in ((folder, "--baseline", "shipped"), (folder,)):
         assert gate(*words) == 5
         out, err = capsys.readouterr()
@@ -271,10 +279,12 @@ def test_a_run_on_fresh_starts_that_an_older_nw_eval_ended_early_is_refused_in_a
         assert "run it again" in err
 
 
-def test_what_does_not_match_ends_with_five_and_never_with_a_verdict(run, bank, drawn_rows, capsys):
-    key = bank.manifest.key
+def test_what_does_not_match_ends_with_five_and_never_with_a_verdict(
+    run, baseline, drawn_rows, capsys
+):
+    key = baseline.manifest.key
     newer = key.model_copy(update={"simulator": {**key.simulator, "mujoco": "9.9"}})
-    keep(replace(bank, manifest=bank.manifest.model_copy(update={"key": newer})))
+    keep(replace(baseline, manifest=baseline.manifest.model_copy(update={"key": newer})))
     folder = write_run(run, drawn_rows(run, like()))
     assert gate(folder, "--baseline", "shipped") == 5
     out, err = capsys.readouterr()
@@ -285,8 +295,8 @@ def test_what_does_not_match_ends_with_five_and_never_with_a_verdict(run, bank, 
     assert gate("nowhere", "--baseline", "shipped") == 2
 
 
-def test_damaged_rows_and_rows_that_are_none_are_named(run, bank, drawn_rows):
-    keep(bank)
+def test_damaged_rows_and_rows_that_are_none_are_named(run, baseline, drawn_rows):
+    keep(baseline)
     folder = write_run(run, drawn_rows(run, like()))
     journal = Path("run/journal.jsonl")
     Path("run/trials.parquet").unlink()
@@ -298,8 +308,8 @@ def test_damaged_rows_and_rows_that_are_none_are_named(run, bank, drawn_rows):
         api.judge(folder, baseline="shipped")
 
 
-def test_judging_needs_no_simulator(run, bank, drawn_rows):
-    keep(bank)
+def test_judging_needs_no_simulator(run, baseline, drawn_rows):
+    keep(baseline)
     folder = write_run(run, drawn_rows(run, like()))
     code = (
         "import sys\n"

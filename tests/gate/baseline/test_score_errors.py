@@ -12,7 +12,7 @@ import pytest
 from nw_gate.absolute import judge
 from nw_gate.baseline.judge import compare
 from nw_gate.baseline.scores import with_scores
-from nw_gate.results.bank import BaselineResults
+from nw_gate.results.baseline import BaselineResults
 from nw_gate.scores import specs_of
 from nw_gate.settings import Gate
 
@@ -45,7 +45,7 @@ def panel(rng: np.random.Generator, count: int, kind: str) -> np.ndarray:
 
 
 @pytest.fixture
-def gates(make_run, make_bank, drawn_rows, make_against):
+def gates(make_run, make_baseline, drawn_rows, make_against):
     """Words of simulated gates, each with a baseline of its own, from the candidate's means."""
 
     def simulate(
@@ -67,7 +67,7 @@ def gates(make_run, make_bank, drawn_rows, make_against):
         by_scene = moved or {}
         run = make_run(SCENES, TRIALS, drawn_from=STARTS)
         run = run.model_copy(update={"scores": specs_of(NAMES)})
-        plain = make_bank(run, dict.fromkeys(SCENES, [1.0] * STARTS))
+        plain = make_baseline(run, dict.fromkeys(SCENES, [1.0] * STARTS))
         rows = drawn_rows(run, dict.fromkeys(SCENES, 1.0))
         found = compare(rows, run, make_against(plain), gate)
         verdict = replace(judge(rows, gate, run.planned, against=found), against=found)
@@ -75,7 +75,7 @@ def gates(make_run, make_bank, drawn_rows, make_against):
         words = []
         for _ in range(count):
             starts = plain.panels[0].starts
-            # The drop is from the bank's own mean, so that this is to be the level exactly.
+            # The drop is from the baseline's own mean, so that this is to be the level exactly.
             before = np.stack([panel(rng, len(starts), kind) for _ in NAMES], axis=1)
             now = np.zeros((len(rows), len(NAMES)))
             for scene in SCENES:
@@ -87,7 +87,7 @@ def gates(make_run, make_bank, drawn_rows, make_against):
                 replace(start, scores=tuple(zip(NAMES, each, strict=True)))
                 for start, each in zip(starts, before.tolist(), strict=True)
             )
-            bank = BaselineResults(
+            baseline = BaselineResults(
                 manifest=plain.manifest.model_copy(update={"scores": NAMES}),
                 panels=(replace(plain.panels[0], starts=scored),),
             )
@@ -95,7 +95,7 @@ def gates(make_run, make_bank, drawn_rows, make_against):
                 replace(row, scores=tuple(zip(NAMES, each, strict=True)))
                 for row, each in zip(rows, now.tolist(), strict=True)
             ]
-            shown = with_scores(verdict, ran, run, gate, make_against(bank))
+            shown = with_scores(verdict, ran, run, gate, make_against(baseline))
             words.append(shown.verdict)
         return words
 

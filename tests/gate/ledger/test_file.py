@@ -249,8 +249,8 @@ def test_a_verdict_is_kept_with_who_was_judged_on_what_and_how(tmp_path, run_sce
     )
     gate = Gate(success_rate=0.5, tiers={"b": "critical"})
     verdict = judge(rows, gate, run.planned)
-    bank = BaselineInfo(name="b", path="b.parquet", sha256="ee" * 32)
-    kept = append_verdict(tmp_path / "l.jsonl", verdict, run, rows, bank=bank)
+    baseline = BaselineInfo(name="b", path="b.parquet", sha256="ee" * 32)
+    kept = append_verdict(tmp_path / "l.jsonl", verdict, run, rows, baseline=baseline)
     (entry,) = read_ledger(tmp_path / "l.jsonl").entries
     assert entry == kept
     assert (entry.word, entry.trials, entry.success) == (verdict.verdict, 6, verdict.success)

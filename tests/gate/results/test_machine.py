@@ -43,7 +43,7 @@ def digests(tmp_path, monkeypatch):
     "name",
     [
         *("nw_eval/reporting/headline.py", "nw_eval/cli/__init__.py", "nw_eval/api/__init__.py"),
-        *("nw_gate/absolute.py", "nw_gate/results/bank.py", "nw_base/words.py"),
+        *("nw_gate/absolute.py", "nw_gate/results/baseline.py", "nw_base/words.py"),
         *("nw_twin/place.py", "nw_scenes/hub/fetch.py"),
     ],
 )

@@ -311,7 +311,7 @@ def test_another_code_is_another_job_and_another_baseline(written):
     assert first.suite.digest == second.suite.digest
     assert plugins.keys() == {"scores.jerk"}
     assert plugins["scores.jerk"].startswith("smooth.py:jerk ")
-    assert plugins != second.plugins, "what banks compare"
+    assert plugins != second.plugins, "what baselines compare"
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,13 @@ import pytest
 
 from nw_base.errors import IncomparableError, UsageError
 from nw_eval.reporting.side_by_side import comparison_page
-from nw_gate.results.bank import BankKey, Start
+from nw_gate.results.baseline import BaselineKey, Start
 from nw_gate.results.real import read_real_results
 from nw_gate.scores import specs_of
 from nw_gate.side_by_side import Entrant, measured, score_of, side_by_side
 
 SCENES = {"hurdles/low": "11" * 32, "hurdles/high": "22" * 32}
-KEY = BankKey(
+KEY = BaselineKey(
     suite_digest="aa" * 32,
     seed=1,
     protocol="strict",

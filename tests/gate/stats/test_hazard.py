@@ -180,7 +180,7 @@ def test_what_one_look_would_show_many_looks_do_not():
     )
 
 
-def test_a_few_trials_against_a_bank_of_many_can_part():
+def test_a_few_trials_against_a_baseline_of_many_can_part():
     parting = first_parting([0, 0, 0, 60], [0, 3, 0, 2])
     assert parting is not None
     assert parting.waypoint == 2

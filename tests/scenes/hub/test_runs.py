@@ -152,7 +152,7 @@ def test_a_token_for_writing_is_no_part_of_any_line(monkeypatch, capsys):
         assert "that the token may read it" in err
 
 
-def test_a_bank_names_the_revision_of_its_policy_for_other_machines(policy):
+def test_a_baseline_names_the_revision_of_its_policy_for_other_machines(policy):
     bundle = load_bundle("hub:lab/still@main")
     reference = card_reference(bundle.reference)
     assert reference == f"hub:lab/still@{policy.revisions['main']}"

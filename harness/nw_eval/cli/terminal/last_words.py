@@ -23,9 +23,9 @@ def unforeseen(error: BaseException) -> str:
     try:
         kept = keep_traceback(error)
         frames = traceback.extract_tb(error.__traceback__)
-        place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
+        location = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
         where = "there is no room for its traceback" if kept is None else f"traceback: {kept}"
-        return f"unforeseen: {type(error).__name__}: {clean(error)}{place}; {where}"
+        return f"unforeseen: {type(error).__name__}: {clean(error)}{location}; {where}"
     except Exception:  # noqa: BLE001 - no memory is left for a sentence, or `__str__` raises.
         return "unforeseen, and without a message that can be read"
 

@@ -202,7 +202,7 @@ def written(attribution: Attribution, suffix: str) -> str:
 
 
 def _verdict(trial: AttributedTrial) -> dict[str, object]:
-    """Return what programs want to know without reckoning."""
+    """Return the computed values for programs."""
     report = trial.report
     moment = None if report is None or report.committed is None else report.committed.step
     return {

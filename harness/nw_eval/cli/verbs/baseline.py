@@ -23,7 +23,7 @@ if TYPE_CHECKING:
         ShownBaseline,
         VerifiedBaseline,
     )
-    from nw_gate.results.bank import (
+    from nw_gate.results.baseline import (
         BaselineChange,
         BaselineResults,
         FieldChange,
@@ -125,7 +125,7 @@ def baseline_table(baselines: Sequence[ListedBaseline]) -> str:
     names = Counter(_name(each) for each in baselines)
     rows = [
         heading,
-        # Where a project's bank has the name of a shipped one, only the path says which.
+        # Where a project's baseline has the name of a shipped one, only the path says which.
         *(
             (_name(each) if names[_name(each)] == 1 else clean(each.file), *_line(each))
             for each in baselines
@@ -136,7 +136,7 @@ def baseline_table(baselines: Sequence[ListedBaseline]) -> str:
 
 def baseline_page(shown: ShownBaseline) -> str:
     """Return all that a baseline says of itself, and its scenes as a table."""
-    return "\n".join([*_facts(shown), "", *aligned(list(_scenes(shown.bank)), right={1})])
+    return "\n".join([*_facts(shown), "", *aligned(list(_scenes(shown.baseline)), right={1})])
 
 
 def stratum_words(stratum: Stratum) -> str:
@@ -156,9 +156,9 @@ def _name(listed: ListedBaseline) -> str:
 
 
 def _line(listed: ListedBaseline) -> tuple[str, ...]:
-    if listed.bank is None:
+    if listed.baseline is None:
         return "?", "?", "?", "?", "?", clean(listed.problem)
-    manifest = listed.bank.manifest
+    manifest = listed.baseline.manifest
     return (
         clean(manifest.policy.name),
         f"{plural(len(manifest.key.scenes), 'scene')} x {manifest.starts}",
@@ -170,9 +170,9 @@ def _line(listed: ListedBaseline) -> tuple[str, ...]:
 
 
 def _facts(shown: ShownBaseline) -> Iterator[str]:
-    from nw_gate.results.bank import bank_mean
+    from nw_gate.results.baseline import baseline_mean
 
-    manifest, bank = shown.bank.manifest, shown.bank
+    manifest, baseline = shown.baseline.manifest, shown.baseline
     simulator = ", ".join(f"{name} {value}" for name, value in manifest.key.simulator.items())
     policy = manifest.policy
     digests = f"checkpoint {policy.checkpoint_digest[:16]}, card {policy.card_digest[:16]}"
@@ -183,16 +183,16 @@ def _facts(shown: ShownBaseline) -> Iterator[str]:
         yield "starts     of a seed set of its own, which took no part in choosing the policy"
     yield f"policy     {clean(policy.name)} ({clean(digests)})"
     yield f"starts     {manifest.starts} in each of {plural(len(manifest.key.scenes), 'scene')}"
-    yield f"mean       {bank_mean(bank):.3f}"
+    yield f"mean       {baseline_mean(baseline):.3f}"
     yield f"seed       {manifest.key.seed}, protocol {clean(manifest.key.protocol)}"
     yield f"simulator  {clean(simulator)}"
     if manifest.note:
         yield f"note       {clean(manifest.note)}"
-    for number, (panel, info) in enumerate(zip(bank.panels, manifest.panels, strict=True), 1):
+    for number, (panel, info) in enumerate(zip(baseline.panels, manifest.panels, strict=True), 1):
         by = f" by {clean(info.by)}" if info.by else ""
         yield f"machine {number}  {clean(info.saved)}{by}: {machine_words(info.machine)}"
         if number > 1:
-            yield f"           {_against_first(panel, bank.panels[0])}"
+            yield f"           {_against_first(panel, baseline.panels[0])}"
 
 
 def _against_first(panel: Panel, first: Panel) -> str:
@@ -201,11 +201,11 @@ def _against_first(panel: Panel, first: Panel) -> str:
     return f"{moved} of {len(pairs)} trials differ from machine 1"
 
 
-def _scenes(bank: BaselineResults) -> Iterator[tuple[str, ...]]:
-    from nw_gate.results.bank import mean_of
+def _scenes(baseline: BaselineResults) -> Iterator[tuple[str, ...]]:
+    from nw_gate.results.baseline import mean_of
 
     yield "scene", "mean", "completed", "others"
-    for stratum, starts in bank.panels[0].by_stratum.items():
+    for stratum, starts in baseline.panels[0].by_stratum.items():
         completed = sum(start.completed for start in starts)
         share = f"{completed} of {len(starts)}"
         yield stratum_words(stratum), f"{mean_of(starts):.3f}", share, _others(starts)
@@ -274,7 +274,7 @@ def verified_page(verified: VerifiedBaseline) -> str:
 
 
 def _verified(verified: VerifiedBaseline) -> Iterator[str]:
-    name, starts = verified.bank.manifest.name, len(verified.bank.panels[0].starts)
+    name, starts = verified.baseline.manifest.name, len(verified.baseline.panels[0].starts)
     yield from verified.differing
     yield from (f"no result now: {fault}" for fault in verified.faults)
     if verified.differing:
@@ -319,9 +319,9 @@ def _scene(change: SceneChange) -> tuple[str, ...]:
 
 
 def _mean(change: BaselineChange) -> tuple[str, ...]:
-    from nw_gate.results.bank import bank_mean
+    from nw_gate.results.baseline import baseline_mean
 
-    then, now = bank_mean(change.then), bank_mean(change.now)
+    then, now = baseline_mean(change.then), baseline_mean(change.now)
     return "mean", _number(then), _number(now), f"{now - then:+.3f}", "", ""
 
 
@@ -338,11 +338,11 @@ def _flipped(change: SceneChange) -> str:
 
 
 def _saved(saved: SavedBaseline) -> Iterator[str]:
-    from nw_gate.results.bank import bank_mean
+    from nw_gate.results.baseline import baseline_mean
 
-    manifest = saved.bank.manifest
+    manifest = saved.baseline.manifest
     size = f"{plural(len(manifest.key.scenes), 'scene')} x {plural(manifest.starts, 'start')}"
-    whole = f"{size}, mean success {bank_mean(saved.bank):.3f}"
+    whole = f"{size}, mean success {baseline_mean(saved.baseline):.3f}"
     if saved.change is not None and saved.action != "unchanged":
         yield change_page(saved.change)
         yield ""
@@ -370,7 +370,7 @@ def _saved(saved: SavedBaseline) -> Iterator[str]:
 
 
 def _checked(checked: CheckedBaseline) -> Iterator[str]:
-    manifest = checked.bank.manifest
+    manifest = checked.baseline.manifest
     save = f"nw-eval baseline save {quote(checked.suite)} --policy {quote(checked.policy)}"
     if manifest.name != manifest.policy.name:
         save += f" --name {quote(manifest.name)}"

@@ -51,7 +51,7 @@ def series_json(series: BisectedSeries) -> str:
     names, found = series.checkpoints, series.found
     fallen, good = (None, None) if found is None else (found.first_fallen, found.last_good)
     whole = {
-        "baseline": series.bank,
+        "baseline": series.baseline,
         "first_flagged": None if fallen is None else names[fallen],
         "last_passed": None if good is None else names[good],
         "suspects": [] if found is None else [names[place] for place in found.suspects],

@@ -144,7 +144,7 @@ def bar_plan_json(planned: BarPlan) -> str:
 
 def trial_plan_json(planned: TrialPlan) -> str:
     """Return a plan of trials as JSON; a number of trials that is never enough is null."""
-    from nw_gate.stats.bank.curve import trials_for
+    from nw_gate.stats.baseline.curve import trials_for
 
     outset = planned.outset
     margins = outset.rules.margins
@@ -184,7 +184,7 @@ def trial_plan_page(planned: TrialPlan) -> str:
     wrong_pass, wrong_regressed = (f"{100 * x:.4g} %" for x in (rules.alpha_pass, rules.alpha_regr))
     lines = [
         f"suite     {planned.suite}: {outset.in_words}",
-        f"from      {planned.source}: success {outset.baseline:.3f}, {_bank(outset)}",
+        f"from      {planned.source}: success {outset.baseline:.3f}, {_baseline(outset)}",
         f"margins   {drops}; wrong PASS {wrong_pass}, wrong REGRESSED {wrong_regressed} at most",
         f"detect    {_detection(planned)}",
         f"equal     {_within(planned, planned.equal.passed, 'an equally good policy passes')}",
@@ -220,7 +220,7 @@ def _score_lines(found: ScoreForecast) -> list[str]:
     ]
 
 
-def _bank(outset: Outset) -> str:
+def _baseline(outset: Outset) -> str:
     starts = f"{outset.starts} initial states per scene"
     return starts if outset.known else f"simulated for a baseline of {starts}"
 
@@ -238,7 +238,7 @@ def _detection(planned: TrialPlan) -> str:
 
 def _within(planned: TrialPlan, shares: Sequence[float], what: str) -> str:
     """Return after how many trials something is so in 80 and in 90 %."""
-    from nw_gate.stats.bank.curve import trials_for
+    from nw_gate.stats.baseline.curve import trials_for
 
     found = [(chance, trials_for(shares, chance)) for chance in _CHANCES]
     parts = [

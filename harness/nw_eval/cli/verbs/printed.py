@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, cast
 
-from nw_gate.results.bank import BaselineResults
+from nw_gate.results.baseline import BaselineResults
 
 if TYPE_CHECKING:
     from nw_eval.api import RunReport
@@ -45,7 +45,7 @@ def judged_json(judged: RunReport, code: int) -> str:
         "exit_code": code,
         "suite": str(judged.info.suite.get("name", "")),
         "policy": judged.info.policy.name,
-        "baseline": None if judged.bank is None else judged.bank.name,
+        "baseline": None if judged.baseline is None else judged.baseline.name,
         "success": verdict.success,
         "bounds": list(verdict.interval),
         "bar": verdict.bar,

@@ -83,7 +83,7 @@ def _drop(found: Comparison) -> Gauge | None:
     ends = (found.interval.low, found.interval.high, found.max_drop, -found.tolerate, 0.0)
     room = 0.08 * (max(ends) - min(ends))
     return Gauge(
-        title=f"Drop against {found.bank} ({percent_sure(found.alpha_regr)} lower, "
+        title=f"Drop against {found.baseline_name} ({percent_sure(found.alpha_regr)} lower, "
         f"{percent_sure(found.alpha_pass)} upper)",
         sentence=f"Mean success fell by {found.drop:z.3f}: by at least "
         f"{found.interval.low:z.3f} ({percent_sure(found.alpha_regr)}) and at most "

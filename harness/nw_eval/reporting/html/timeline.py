@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.reporting.html.evidence import WalkedPath
-from nw_gate.results.bank import Start
+from nw_gate.results.baseline import Start
 from nw_gate.results.row import Row
 
 LEFT, RIGHT, TOP, BOTTOM = 34.0, 352.0, 16.0, 78.0

@@ -24,8 +24,8 @@ def answer_words(cause: Cause) -> str:
         f"{cause.sight.size:+.3f} by sight ({_how_sure(cause.sight, cause.error)})",
         f"{cause.control.size:+.3f} by control ({_how_sure(cause.control, cause.error)})",
     ]
-    words = f"{head}: {parts[0]}: {parts[1]}, {parts[2]}"
-    return f"{words}; {cause.why}" if cause.why else words
+    text = f"{head}: {parts[0]}: {parts[1]}, {parts[2]}"
+    return f"{text}; {cause.why}" if cause.why else text
 
 
 def differences_words(cause: Cause) -> str:

@@ -134,7 +134,7 @@ def provenance_table(run: RunInfo) -> Table:
         "started": run.started,
         "suite": f"{run.suite_file}, {digest_of(run.suite)[:12]}",
         "seed set": f"{run.suite_digest[:12]} (same robot, protocol, seed, episode and "
-        f"perturbations: same starts), {run.panel}",
+        f"perturbations: same initial states), {run.panel}",
         "policy": f"{run.policy.folder_name}, {run.policy.origin or weights}",
         "card and checkpoint": run.policy.short_digest,
         "processor": run.policy.dependence,

@@ -10,7 +10,7 @@ import numpy as np
 from nw_base.plural import plural
 from nw_eval.reporting.tables.table import Bar, Table, bounds_header, span, uncorrected
 from nw_gate.results.row import Row
-from nw_gate.stats.bank.trials import SUSPECT
+from nw_gate.stats.baseline.trials import SUSPECT
 from nw_gate.stats.interval import Interval
 from nw_gate.verdict import Comparison, SceneDrop, SceneScore, Verdict
 
@@ -257,7 +257,8 @@ def _note(found: Comparison, header: str) -> str:
         known = f"{plural(found.control, 'trial')} that ran beside the candidate"
     if found.basis == "same" and found.again is not None and found.again.taken_over:
         return f"Results are the baseline's, {known}; {plural(found.again.ran, 'trial')} re-run."
-    means = f"The baseline {found.bank} is {known}, the candidate {plural(found.trials, 'trial')}."
+    trials = plural(found.trials, "trial")
+    means = f"The baseline {found.baseline_name} is {known}, the candidate {trials}."
     if found.basis == "same":
         return means
     alone = f"{uncorrected('scene', header)} " if any(x.interval for x in found.scenes) else ""

@@ -10,7 +10,7 @@ from shlex import quote
 
 from nw_base.files.inside import OutsideError, checked
 from nw_eval.reporting.tables.table import WORST, Table, judged, mean, more, share
-from nw_gate.results.bank import Start
+from nw_gate.results.baseline import Start
 from nw_gate.results.moment_link import MomentLink
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
@@ -107,7 +107,7 @@ def parting(row: Row, rival: Row | Start | None) -> str:
     end = f"completed{at_end}" if rival.completed else f"{ended}{rival.outcome}{at_end}"
     point = row.waypoints_reached + 1
     if not row.waypoints_total or point > row.waypoints_total:
-        return f"The baseline's policy {end} from the same start."
+        return f"The baseline's policy {end} from the same initial state."
     if rival.waypoints_reached >= point:
         passed = f" at {times[point - 1]:.1f} s" if times else ""
         return f"The baseline's policy passed waypoint {point}{passed} and {end}."

@@ -72,9 +72,9 @@ def _literal(run: TrackedRun) -> Iterator[tuple[str, str]]:
         yield key, _code(words)
 
 
-def _code(words: str) -> str:
+def _code(text: str) -> str:
     """Return words as code: TensorBoard draws Markdown, and they may be a third party's."""
-    quoted = words.replace("`", "'")
+    quoted = text.replace("`", "'")
     return f"`{quoted}`" if quoted else ""
 
 

@@ -120,20 +120,20 @@ def tracked_run(
         clips: of its worst trials.
     """
     begun = datetime.fromisoformat(run.started)
-    place = f"{PROJECT}/{key_of(str(run.suite.get('name', 'suite')))}"
+    location = f"{PROJECT}/{key_of(str(run.suite.get('name', 'suite')))}"
     numbers = _of_all(verdict) | _by_scene(verdict)
     if verdict.against is not None:
         numbers |= _against(verdict.against)
     return TrackedRun(
         id=_id(run),
         title=clean(run.id, at_most=100),
-        place=place,
+        place=location,
         begun=begun,
         ended=begun if run.finished is None else datetime.fromisoformat(run.finished),
         verdict=verdict.verdict,
-        words={f"{place}/{key}": clean(text) for key, text in _words(run, verdict).items()},
+        words={f"{location}/{key}": clean(text) for key, text in _words(run, verdict).items()},
         numbers={
-            f"{place}/{key}": float(number)
+            f"{location}/{key}": float(number)
             for key, number in numbers.items()
             if number is not None and math.isfinite(number)
         },
@@ -165,7 +165,7 @@ def _words(run: RunInfo, verdict: Verdict) -> dict[str, str]:
         "policy_digest": run.policy.short_digest,
         "card_digest": run.policy.card_digest,
         "checkpoint_digest": run.policy.checkpoint_digest,
-        "baseline": "none" if verdict.against is None else verdict.against.bank,
+        "baseline": "none" if verdict.against is None else verdict.against.baseline_name,
         "panel": run.panel,
         "seed": str(run.suite.get("seed", "")),
         "protocol": str(run.suite.get("protocol", "")),

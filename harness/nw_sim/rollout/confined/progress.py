@@ -96,8 +96,8 @@ class Progress:
             self.idle = self.idle + passed if self._ticks == before else 0.0
             self._stopped = self._stopped + passed if is_stopped else 0.0
             self._waited += passed
-            for place, (old, new) in enumerate(zip(before, self._ticks, strict=True)):
-                self._spent[place] += max(0, new - old) / os.sysconf("SC_CLK_TCK")
+            for index, (old, new) in enumerate(zip(before, self._ticks, strict=True)):
+                self._spent[index] += max(0, new - old) / os.sysconf("SC_CLK_TCK")
         if self._stopped >= HANGS_AFTER:
             return f"a signal stopped its process {HANGS_AFTER:g} s ago; find out who sent it"
         if self.idle >= HANGS_AFTER and not self._waits:

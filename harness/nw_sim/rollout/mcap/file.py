@@ -48,7 +48,7 @@ Images = Literal["keep", "decide", "drop"]
 _Entry = tuple[str, int, type[Any], bytes]
 """Topic, time in ns, protobuf class and content of a message."""
 _Image = tuple[str, int, Callable[[], Any]]
-"""Topic and time of an image, and what makes its message if images are kept."""
+"""Topic and time of an image, and the maker of its message if images are kept."""
 
 _MOST_HELD = 64 * 2**20
 """Bytes of a trial's images that wait as they are; what comes later is compressed at once. A policy
@@ -233,7 +233,7 @@ class McapWriter:
         self._chunks: list[ChunkIndex] = []
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
-        self._parts: list[bytes] = []  # of the chunk in the making
+        self._parts: list[bytes] = []  # of the chunk under construction
         self._size = 0  # bytes of them
         self._index: list[NDArray[np.int64]] = []  # channel, time, place in the chunk, (M, 3) each
         stream.write(_MAGIC)

@@ -186,7 +186,7 @@ class RepeatedTrial:
     log: Literal["same", "compared", "gone"]
     """The log has the same bytes; or was compared message by message; or cannot be compared."""
     fault: str = ""
-    """Why it came to no result now, if it did not."""
+    """Why it has no result this time."""
 
     @property
     def is_identical(self) -> bool:

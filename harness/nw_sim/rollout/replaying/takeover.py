@@ -260,8 +260,8 @@ def _driven(
     if film is not None:
         observers.append(film.begun(trial, driver=switch.policy))
     lead_to(switch.step, trial, recorded, library, *observers)
-    words = f"{driver(trial.job)} takes over from {switch.policy}"
-    log.event(trial.episode.world.time, "start", words, step=switch.step)
+    text = f"{driver(trial.job)} takes over from {switch.policy}"
+    log.event(trial.episode.world.time, "start", text, step=switch.step)
     if film is not None:
         film.hand_over(driver(trial.job))
     result = run_on(trial, *observers)

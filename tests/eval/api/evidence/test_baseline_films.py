@@ -7,7 +7,7 @@ import pytest
 from nw_eval.api import evidence_baseline
 from nw_eval.api.evidence import KeptEvidence
 from nw_eval.api.evidence_baseline import with_baseline_films
-from nw_gate.results.bank import BankPolicy
+from nw_gate.results.baseline import BaselinePolicy
 from nw_gate.results.evidence_check import present_logs
 from nw_gate.results.provenance import BaselineInfo
 from nw_gate.results.run_folder import RunFolder
@@ -24,7 +24,7 @@ def store(tmp_path):
 def saved_with(name):
     """The policy of a baseline that was saved with a shipped policy."""
     bundle = load_bundle(find_card(name))
-    return BankPolicy(
+    return BaselinePolicy(
         name=bundle.name,
         adapter=bundle.card.adapter,
         card=str(bundle.card_path),

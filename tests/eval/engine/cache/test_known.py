@@ -93,7 +93,9 @@ def enough_after(count, trials):
     def enough(ended):
         first = next(place for place in range(count + 1) if place not in ended or place == count)
         nexts = () if first == count else range(trials)
-        return RunStanding(first=first, ahead=tuple(place for place in nexts if place not in ended))
+        return RunStanding(
+            first=first, pending=tuple(place for place in nexts if place not in ended)
+        )
 
     return enough
 

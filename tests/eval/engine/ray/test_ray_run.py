@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from nw_eval import api
-from nw_gate.results.bank_file import bank_of_run, write_bank
+from nw_gate.results.baseline_file import baseline_of_run, write_baseline
 from nw_gate.results.journal import read_journal
 from nw_gate.results.provenance import read_run_info
 from nw_gate.results.row import rows_digest
@@ -84,9 +84,7 @@ gate:
 
 @pytest.fixture
 def gated(tmp_path, monkeypatch):
-    """A project with the bank of a policy, as this and as another machine saves it, and a softer
-    policy to be compared with it.
-    """
+    """A project with a policy's baselines of this and another machine, and a softer policy."""
     monkeypatch.chdir(tmp_path)
     Path("quick.yaml").write_text(QUICK)
     shutil.copytree(POLICY.with_name("go1-parkour"), "soft")
@@ -94,28 +92,30 @@ def gated(tmp_path, monkeypatch):
     text = card.read_text().replace("kp: 20", "kp: 19").replace("name: go1-parkour", "name: soft")
     card.write_text(text)
     whole = api.run("quick.yaml", baseline="none", workers=2, out=Path("whole"))
-    bank = bank_of_run(whole.rows, whole.info, name="here", card="go1-parkour")
-    write_bank(Path("here.parquet"), bank)
-    (panel,), (info,) = bank.panels, bank.manifest.panels
+    baseline = baseline_of_run(whole.rows, whole.info, name="here", card="go1-parkour")
+    write_baseline(Path("here.parquet"), baseline)
+    (panel,), (info,) = baseline.panels, baseline.manifest.panels
     machine = {**panel.machine, "cpu": "elsewhere"}
     starts = tuple(replace(start, trajectory="0" * 16) for start in panel.starts)
-    known = bank.manifest.model_copy(
+    known = baseline.manifest.model_copy(
         update={"name": "other", "panels": (info.model_copy(update={"machine": machine}),)}
     )
-    other = replace(bank, manifest=known, panels=(replace(panel, machine=machine, starts=starts),))
-    write_bank(Path("other.parquet"), other)
+    other = replace(
+        baseline, manifest=known, panels=(replace(panel, machine=machine, starts=starts),)
+    )
+    write_baseline(Path("other.parquet"), other)
     return tmp_path
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("bank", ["here", "other"])
+@pytest.mark.parametrize("baseline", ["here", "other"])
 def test_a_gate_on_ray_judges_the_rows_of_local_workers_and_ends_with_the_same_trial(
-    gated, nw_eval, bank
+    gated, nw_eval, baseline
 ):
     os.environ.pop("RAY_ADDRESS", None)
     local = [
         api.run(
-            "quick.yaml", policy="./soft", baseline=f"./{bank}.parquet", workers=workers,
+            "quick.yaml", policy="./soft", baseline=f"./{baseline}.parquet", workers=workers,
             out=Path(f"local-{workers}"),
         )
         for workers in (1, 2)
@@ -125,7 +125,7 @@ def test_a_gate_on_ray_judges_the_rows_of_local_workers_and_ends_with_the_same_t
         out = Path(f"ray-{workers}")
         code, printed = ended(
             nw_eval(
-                *("run", "quick.yaml", "--policy", "./soft", "--baseline", f"./{bank}.parquet"),
+                *("run", "quick.yaml", "--policy", "./soft", "--baseline", f"./{baseline}.parquet"),
                 *("--out", out, "--engine", "ray", "--workers", workers),
                 env={"HOME": str(gated)},
             )
@@ -137,7 +137,7 @@ def test_a_gate_on_ray_judges_the_rows_of_local_workers_and_ends_with_the_same_t
             assert (there.info.stop, there.verdict) == (here.info.stop, here.verdict)
         assert (there.verdict.verdict, there.info.stop.first) == ("PASS", len(there.rows))
         assert f"decided after {len(there.rows)} of 8 trials; the rest were skipped" in printed
-        if bank == "other":
+        if baseline == "other":
             assert there.verdict.against.basis == "control"
             assert len(api.read_rows(out / "baseline")) == len(there.rows)
 

@@ -16,7 +16,7 @@ from nw_eval.reporting.markdown import escaped, markdown_table
 from nw_eval.reporting.tables.table import Table
 from nw_eval.suite import Gate
 from nw_gate.absolute import judge
-from nw_gate.baseline.combine import combined, without_bank
+from nw_gate.baseline.combine import combined, without_baseline
 from nw_gate.results.provenance import PolicyInfo
 
 ROOT = Path(__file__).parents[4]
@@ -458,7 +458,9 @@ def comments(make_row, make_run, evil, regressed):
     judged["RAN"] = (run, rows, judge(rows, Gate(), planned))
     against = combined(judge(rows, Gate(), planned, against=regressed), regressed)
     judged["baseline"] = (run, rows, against)
-    invalid = without_bank(judged["PASS"][2], "bank 0123456789ab is gone: https://x.example @x")
+    invalid = without_baseline(
+        judged["PASS"][2], "baseline 0123456789ab is gone: https://x.example @x"
+    )
     judged["INVALID"] = (run, trials["PASS"], invalid)
     many = {f"places/{k:05d}": 1 for k in range(300)}
     some = [make_row(scene, 0, k % 5) for k, scene in enumerate(many)]

@@ -51,7 +51,7 @@ def test_scenes_are_shown_beside_the_baseline_what_fell_first(page):
 def test_the_course_shows_whom_each_waypoint_stopped_and_where_they_part(page):
     section = page.one("section", id="course")
     together = section.all("table")[0].cells
-    # Of 40 starts of the bank 38 reached the first waypoint, and 37 the second as well.
+    # Of 40 starts of the baseline 38 reached the first waypoint, and 37 the second as well.
     assert together[1][4:6] == ["95 %", "2 of 40"]
     assert together[2][1:3] == ["70 %", "3 of 10"]
     assert together[2][4:6] == ["92 %", "1 of 38"]

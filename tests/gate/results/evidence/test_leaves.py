@@ -50,7 +50,7 @@ def test_a_row_keeps_its_hash_through_files_and_under_versions_with_more_columns
     assert row_leaf(row) == before
 
 
-def bank(**changes: object) -> BaselineInfo:
+def baseline(**changes: object) -> BaselineInfo:
     return BaselineInfo.model_validate({"name": "b", "path": "", "sha256": "ee", **changes})
 
 
@@ -65,7 +65,7 @@ def bank(**changes: object) -> BaselineInfo:
         {"drawn_from": 60},
         {"drawn_for": "ab/cd"},
         {"stop": StopInfo(first=3)},
-        {"baseline": bank()},
+        {"baseline": baseline()},
         {"engine": {"mujoco": "4.0.1"}},
     ],
     ids=lambda changes: next(iter(changes)),
@@ -74,9 +74,9 @@ def test_what_the_rows_are_of_is_not_changed_without_another_hash(changes, info)
     assert run_leaf(info.model_copy(update=changes)) != run_leaf(info)
 
 
-def test_that_a_bank_moved_on_this_machine_is_not_taken_back_without_another_hash(info):
-    moved = info.model_copy(update={"baseline": bank(moved=("hurdles/one fell",))})
-    assert run_leaf(moved) != run_leaf(info.model_copy(update={"baseline": bank()}))
+def test_that_a_baseline_moved_on_this_machine_is_not_taken_back_without_another_hash(info):
+    moved = info.model_copy(update={"baseline": baseline(moved=("hurdles/one fell",))})
+    assert run_leaf(moved) != run_leaf(info.model_copy(update={"baseline": baseline()}))
 
 
 def test_what_a_report_writes_again_is_no_part_of_it(info):

@@ -183,7 +183,7 @@ def run_of(suite):
     return SimpleNamespace(suite={"name": suite})
 
 
-def test_a_bank_s_name_means_its_policy_and_only_that(tmp_path):
+def test_a_baseline_s_name_means_its_policy_and_only_that(tmp_path):
     info = run_of("hurdles")
     mine = load_bundle("go1-parkour")
     found = baseline_bundle("go1-parkour", info, policy=None, checkpoint=None)
@@ -194,7 +194,7 @@ def test_a_bank_s_name_means_its_policy_and_only_that(tmp_path):
         baseline_bundle("go1-parkour", info, policy=None, checkpoint=other)
 
 
-def test_where_there_is_no_bank_a_policy_is_meant():
+def test_where_there_is_no_baseline_a_policy_is_meant():
     info = run_of("smoke-of-mine")
     assert baseline_bundle("stand", info, policy=None, checkpoint=None).name == "stand"
     with pytest.raises(UsageError, match="has no baseline 'nobody', and no policy"):

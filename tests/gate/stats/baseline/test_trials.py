@@ -12,9 +12,9 @@ from gate_cells import HURDLES, scores_of
 from measured import real_run
 
 from nw_base.words import Tier
-from nw_gate.stats.bank.evidence import Bank, Margins
-from nw_gate.stats.bank.interval import drop_interval_after
-from nw_gate.stats.bank.trials import (
+from nw_gate.stats.baseline.evidence import Margins, Reference
+from nw_gate.stats.baseline.interval import drop_interval_after
+from nw_gate.stats.baseline.trials import (
     CRITICAL_TRIALS,
     SUSPECT,
     DrawnTrials,
@@ -35,14 +35,14 @@ def one_scene(candidate: list[float], baseline: float = 1.0) -> DrawnTrials:
     )
 
 
-def simulated(seed: int, gates: int, drop: float = 0.06) -> tuple[Bank, DrawnTrials]:
+def simulated(seed: int, gates: int, drop: float = 0.06) -> tuple[Reference, DrawnTrials]:
     """Gates on hurdles of a policy that falls in some trials; budgets of 160 trials."""
     rng, (scores, _) = np.random.default_rng(seed), scores_of(HURDLES)
     order = np.argsort(rng.random((gates, scores.size)), axis=1)[:, :160]
     scenes, starts = order // scores.shape[1], order % scores.shape[1]
     falls = rng.random(order.shape) < np.where(scenes == 3, 0.4, drop)
     known = scores[scenes, starts]
-    return Bank.of(scores).fresh(), DrawnTrials(
+    return Reference.of(scores).fresh(), DrawnTrials(
         scenes=scenes, candidate=np.where(falls, 0.0, known), baseline=known
     )
 
@@ -59,19 +59,19 @@ def cut(trials: DrawnTrials, gate: int) -> DrawnTrials:
     )
 
 
-PERFECT = Bank(means=np.ones(1))
+PERFECT = Reference(means=np.ones(1))
 
 
-def word(trials: DrawnTrials, bank: Bank = PERFECT, **rules: Any) -> str:
+def word(trials: DrawnTrials, reference: Reference = PERFECT, **rules: Any) -> str:
     """What is said of a gate of one scene."""
-    return settle(bank, trials, TrialRules(tiers=tiers(1), **rules)).word
+    return settle(reference, trials, TrialRules(tiers=tiers(1), **rules)).word
 
 
 def test_before_the_first_trial_nothing_is_decided():
     rules, known = TrialRules(tiers=tiers(1)), [False] * 3
     decision = settle(PERFECT, one_scene([1.0] * 3), rules, known)
     assert (decision.word, decision.trials, decision.named) == ("undecided", 0, ())
-    assert decision.ahead == (0, 1, 2)
+    assert decision.pending == (0, 1, 2)
 
 
 def test_evidence_must_reach_one_over_alpha():
@@ -88,20 +88,20 @@ def test_evidence_must_reach_one_over_alpha():
 def test_the_first_trial_that_settles_it_does_whatever_comes_after():
     rules = TrialRules(tiers=tiers(1))
     passed = settle(PERFECT, one_scene([1.0] * 37 + [0.0] * 40), rules)
-    assert (passed.word, passed.trials, passed.named, passed.ahead) == ("PASS", 37, (), ())
+    assert (passed.word, passed.trials, passed.named, passed.pending) == ("PASS", 37, (), ())
     fell = settle(PERFECT, one_scene([0.0] * 2 + [1.0] * 400), rules)
     assert (fell.word, fell.trials) == ("REGRESSED", 2)
 
 
 def test_a_trial_that_would_do_both_convicts():
     # The fourth of four starts shows that the drop is .25: below max_drop, and above tolerate.
-    bank, trials = Bank(means=np.ones(1), starts=4), one_scene([0.75] * 4)
+    reference, trials = Reference(means=np.ones(1), starts=4), one_scene([0.75] * 4)
     margins = Margins(max_drop=0.26, tolerate=0.24, scene_drop=0.3)
-    found = looks(bank, trials, margins)
+    found = looks(reference, trials, margins)
     assert [bool(found.passed[3] == inf), bool(found.regressed[3] == inf)] == [True, True]
     assert max(found.passed[2], found.regressed[2]) < 20.0
-    assert word(trials, bank, margins=margins) == "REGRESSED"
-    assert word(trials, bank, margins=replace(margins, tolerate=0.25)) == "PASS"
+    assert word(trials, reference, margins=margins) == "REGRESSED"
+    assert word(trials, reference, margins=replace(margins, tolerate=0.25)) == "PASS"
 
 
 def test_a_suspect_scene_is_waited_for_only_where_the_mean_alone_would_pass():
@@ -114,30 +114,30 @@ def test_a_scene_is_named_at_the_shared_error_and_stays_named_under_pass():
     scenes = np.array([0] * 40 + [1] * 4 + [0, 1] * 60)
     candidate = np.where(np.arange(164) // 4 == 10, 0.0, 1.0)
     trials = DrawnTrials(scenes=scenes, candidate=candidate, baseline=np.ones(164))
-    margins, bank = Margins(max_drop=0.2, tolerate=0.15), Bank(means=np.ones(2))
-    own = looks(bank, trials, margins).own
+    margins, reference = Margins(max_drop=0.2, tolerate=0.15), Reference(means=np.ones(2))
+    own = looks(reference, trials, margins).own
     assert own[42] < 200.0 <= own[43]
     rules = TrialRules(tiers=tiers(2), margins=margins, alpha_pass=1e-9)
-    assert settle(bank, trials.at(range(43)), rules).named == ()
-    decision = settle(bank, trials, rules)
+    assert settle(reference, trials.at(range(43)), rules).named == ()
+    decision = settle(reference, trials, rules)
     assert (decision.word, decision.named) == ("PASS", (1,))
     assert own[decision.mean - 2 : decision.mean].max() < 200.0
 
 
 def test_gates_that_are_settled_together_end_as_each_alone():
-    bank, trials = simulated(seed=1, gates=40)
+    reference, trials = simulated(seed=1, gates=40)
     rules = TrialRules(tiers=tiers(16, 3, 5))
-    alone = [settle(bank, cut(trials, gate), rules) for gate in range(40)]
-    together = settle_all(bank, trials, rules)
+    alone = [settle(reference, cut(trials, gate), rules) for gate in range(40)]
+    together = settle_all(reference, trials, rules)
     for one, other in zip(alone, together, strict=True):
-        assert replace(one, ahead=()) == replace(other, ahead=())
+        assert replace(one, pending=()) == replace(other, pending=())
     assert len({decision.word for decision in alone}) > 1
     assert any(decision.followed for decision in alone)
 
 
 @pytest.mark.parametrize("workers", [1, 3, 64])
 def test_the_same_trials_are_judged_whatever_the_number_of_workers(workers):
-    bank, every = simulated(seed=2, gates=12)
+    reference, every = simulated(seed=2, gates=12)
     rules = TrialRules(tiers=tiers(16, 3, 5))
     for gate in range(12):
         trials = cut(every, gate)
@@ -146,17 +146,19 @@ def test_the_same_trials_are_judged_whatever_the_number_of_workers(workers):
         running = set[int]()
         while True:
             hidden = replace(trials, candidate=np.where(known, trials.candidate, 0.0))
-            decision = settle(bank, hidden, rules, known)
-            if not decision.ahead:
+            decision = settle(reference, hidden, rules, known)
+            if not decision.pending:
                 break
-            window = decision.ahead[:workers]
+            window = decision.pending[:workers]
             running.update(place for place in window if not known[place])
             assert len(running) <= 2 * workers
             # Whichever ends first: workers differ in speed.
             done = int(rng.choice(sorted(running)))
             running.discard(done)
             known[done] = True
-        assert replace(decision, ahead=()) == replace(settle(bank, trials, rules), ahead=())
+        assert replace(decision, pending=()) == replace(
+            settle(reference, trials, rules), pending=()
+        )
         judged = {*range(decision.mean), *decision.followed}
         started = set(np.flatnonzero(known).tolist()) | running
         assert judged <= started
@@ -166,14 +168,17 @@ def test_the_same_trials_are_judged_whatever_the_number_of_workers(workers):
 
 
 def test_of_a_trial_that_has_not_ended_nothing_is_looked_at():
-    bank, every = simulated(seed=3, gates=1)
+    reference, every = simulated(seed=3, gates=1)
     trials, rules = cut(every, 0), TrialRules(tiers=tiers())
     known = np.arange(160) != 20
-    decision = settle(bank, trials, rules, known)
-    assert (decision.word, decision.mean, decision.ahead[:2]) == ("undecided", 20, (20, 21))
+    decision = settle(reference, trials, rules, known)
+    assert (decision.word, decision.mean, decision.pending[:2]) == ("undecided", 20, (20, 21))
     assert (
         settle(
-            bank, replace(trials, candidate=np.where(known, trials.candidate, 1.0)), rules, known
+            reference,
+            replace(trials, candidate=np.where(known, trials.candidate, 1.0)),
+            rules,
+            known,
         )
         == decision
     )
@@ -185,9 +190,9 @@ def test_pass_waits_for_a_suspect_scene_and_runs_trials_of_that_scene_alone():
     candidate = np.ones(240)
     candidate[[3, 7]] = 0.0
     trials = DrawnTrials(scenes=scenes, candidate=candidate, baseline=np.ones(240))
-    margins, bank = Margins(max_drop=0.4), Bank(means=np.ones(4))
-    decision = settle(bank, trials, TrialRules(tiers=tiers(4), margins=margins))
-    passed = looks(bank, trials, margins)
+    margins, reference = Margins(max_drop=0.4), Reference(means=np.ones(4))
+    decision = settle(reference, trials, TrialRules(tiers=tiers(4), margins=margins))
+    passed = looks(reference, trials, margins)
     first = int((passed.passed >= 20.0).argmax())
     assert (decision.word, decision.mean, decision.named) == ("PASS", first + 1, ())
     assert decision.followed
@@ -197,21 +202,23 @@ def test_pass_waits_for_a_suspect_scene_and_runs_trials_of_that_scene_alone():
     # One that goes on failing is named, and the mean passes in spite of it.
     fails = replace(trials, candidate=np.where(scenes == 3, 0.0, 1.0))
     margins = Margins(max_drop=0.6, tolerate=0.5)
-    decision = settle(bank, fails, TrialRules(tiers=tiers(4), margins=margins))
+    decision = settle(reference, fails, TrialRules(tiers=tiers(4), margins=margins))
     assert (decision.word, decision.named) == ("PASS", (3,))
-    assert settle(bank, fails, TrialRules(tiers=tiers(4, 3), margins=margins)).word == "REGRESSED"
+    assert (
+        settle(reference, fails, TrialRules(tiers=tiers(4, 3), margins=margins)).word == "REGRESSED"
+    )
 
 
 def test_a_scene_that_is_suspect_to_the_end_holds_a_pass_back():
     scenes = np.tile(np.arange(4), 60)
     candidate = np.where(np.isin(np.arange(240), [3, 7]), 0.0, 1.0)
     rules = TrialRules(tiers=tiers(4), margins=Margins(max_drop=0.4))
-    bank, ones = Bank(means=np.ones(4)), np.ones(240)
+    reference, ones = Reference(means=np.ones(4)), np.ones(240)
     whole = DrawnTrials(scenes=scenes, candidate=candidate, baseline=ones)
-    mean = settle(bank, whole, rules).mean
+    mean = settle(reference, whole, rules).mean
     short = DrawnTrials(scenes=scenes[:mean], candidate=candidate[:mean], baseline=ones[:mean])
-    decision = settle(bank, short, rules)
-    assert (decision.word, decision.waits_for, decision.ahead) == ("undecided", (3,), ())
+    decision = settle(reference, short, rules)
+    assert (decision.word, decision.waits_for, decision.pending) == ("undecided", (3,), ())
 
 
 def test_no_gate_passes_before_critical_scenes_have_been_met():
@@ -219,36 +226,36 @@ def test_no_gate_passes_before_critical_scenes_have_been_met():
     rng = np.random.default_rng(5)
     scenes = np.concatenate([rng.permutation(64) for _ in range(20)])
     ones = np.ones(len(scenes))
-    trials, bank = (
+    trials, reference = (
         DrawnTrials(scenes=scenes, candidate=ones, baseline=ones),
-        Bank(means=np.ones(64)),
+        Reference(means=np.ones(64)),
     )
     last = int(scenes[63])
-    plain = settle(bank, trials, TrialRules(tiers=tiers(64)))
+    plain = settle(reference, trials, TrialRules(tiers=tiers(64)))
     assert plain.trials == 37
     assert last not in scenes[:37]
-    careful = settle(bank, trials, TrialRules(tiers=tiers(64, last)))
+    careful = settle(reference, trials, TrialRules(tiers=tiers(64, last)))
     assert (careful.word, careful.mean) == ("PASS", 37)
     assert scenes[list(careful.followed)].tolist() == [last] * CRITICAL_TRIALS
     failing = replace(trials, candidate=np.where(scenes == last, 0.0, 1.0))
-    assert settle(bank, failing, TrialRules(tiers=tiers(64))).word == "PASS"
-    decision = settle(bank, failing, TrialRules(tiers=tiers(64, last)))
+    assert settle(reference, failing, TrialRules(tiers=tiers(64))).word == "PASS"
+    decision = settle(reference, failing, TrialRules(tiers=tiers(64, last)))
     assert (decision.word, decision.named) == ("REGRESSED", (last,))
 
 
 def test_what_is_missing_helps_no_verdict():
-    bank, trials = simulated(seed=6, gates=30)
+    reference, trials = simulated(seed=6, gates=30)
     holes = np.random.default_rng(6).random(trials.candidate.shape) < 0.2
     missing = looks(
-        bank, replace(trials, candidate=np.where(holes, np.nan, trials.candidate)), Margins()
+        reference, replace(trials, candidate=np.where(holes, np.nan, trials.candidate)), Margins()
     )
     for score in (0.0, 1.0):
         filled = replace(trials, candidate=np.where(holes, score, trials.candidate))
-        found = looks(bank, filled, Margins())
+        found = looks(reference, filled, Margins())
         assert (missing.passed <= found.passed * (1 + 1e-9)).all()
         assert (missing.regressed <= found.regressed * (1 + 1e-9)).all()
         assert (missing.own <= found.own * (1 + 1e-9)).all()
-    control = Bank.control(16)
+    control = Reference.control(16)
     missing = looks(
         control, replace(trials, baseline=np.where(holes, np.nan, trials.baseline)), Margins()
     )
@@ -262,8 +269,8 @@ def test_what_is_missing_helps_no_verdict():
 
 
 def test_interval_and_verdict_do_not_contradict_each_other():
-    bank, every = simulated(seed=7, gates=25)
-    for which in (bank, Bank.control(16)):
+    reference, every = simulated(seed=7, gates=25)
+    for which in (reference, Reference.control(16)):
         words = set[str]()
         for gate in range(25):
             trials, rules = cut(every, gate), TrialRules(tiers=tiers())
@@ -282,11 +289,11 @@ def test_interval_and_verdict_do_not_contradict_each_other():
     nothing = DrawnTrials(
         scenes=np.zeros(0, dtype=np.intp), candidate=np.ones(0), baseline=np.ones(0)
     )
-    whole = drop_interval_after(Bank(means=np.array([0.9])), nothing)
+    whole = drop_interval_after(Reference(means=np.array([0.9])), nothing)
     assert (whole.low, whole.high) == (pytest.approx(-0.1), pytest.approx(0.9))
 
 
-def reordered(gates: int) -> tuple[Bank, DrawnTrials, float]:
+def reordered(gates: int) -> tuple[Reference, DrawnTrials, float]:
     """Two real runs from the same 30 starts of 16 scenes, in random orders; and the true drop."""
     rng = np.random.default_rng(8)
     baseline, candidate = real_run("go1-parkour"), real_run("noised")
@@ -295,27 +302,27 @@ def reordered(gates: int) -> tuple[Bank, DrawnTrials, float]:
     trials = DrawnTrials(
         scenes=scenes, candidate=candidate.ravel()[order], baseline=baseline.ravel()[order]
     )
-    return Bank.of(baseline), trials, float(baseline.mean() - candidate.mean())
+    return Reference.of(baseline), trials, float(baseline.mean() - candidate.mean())
 
 
 def test_of_real_runs_in_random_order_few_are_judged_wrongly_at_their_true_drop():
-    bank, trials, drop = reordered(1000)
+    reference, trials, drop = reordered(1000)
     assert drop == pytest.approx(0.25, abs=0.01)
     rules = TrialRules(tiers=tiers(), margins=Margins(max_drop=drop, tolerate=drop))
-    words = [decision.word for decision in settle_all(bank, trials, rules)]
+    words = [decision.word for decision in settle_all(reference, trials, rules)]
     assert words.count("PASS") <= 50 + 3 * 7
     assert words.count("REGRESSED") <= 10 + 3 * 4
 
 
 @pytest.mark.nightly
 def test_the_interval_covers_the_drop_of_real_runs_at_every_look():
-    bank, every, drop = reordered(100)
+    reference, every, drop = reordered(100)
     missed = np.zeros(2)
     for gate in range(100):
         trials = cut(every, gate)
         found = [
             drop_interval_after(
-                bank,
+                reference,
                 DrawnTrials(
                     scenes=trials.scenes[:count],
                     candidate=trials.candidate[:count],
@@ -353,15 +360,19 @@ def test_the_parts_of_a_gate_err_together_with_the_sum_at_most():
         (lambda: TrialRules(tiers=("informational",)), "scene 0 is informational"),
         (lambda: TrialRules(tiers=("critical",), alpha_regr=1.0), "alpha 1.0"),
         (
-            lambda: settle(Bank(means=np.ones(2)), one_scene([1.0]), TrialRules(tiers=tiers(1))),
+            lambda: settle(
+                Reference(means=np.ones(2)), one_scene([1.0]), TrialRules(tiers=tiers(1))
+            ),
             "1 tiers for 2 scenes",
         ),
         (
-            lambda: looks(Bank(means=np.ones(1)), one_scene([1.0], baseline=np.nan), Margins()),
+            lambda: looks(
+                Reference(means=np.ones(1)), one_scene([1.0], baseline=np.nan), Margins()
+            ),
             "one is missing",
         ),
         (
-            lambda: looks(Bank(means=np.ones(1), starts=2), one_scene([1.0] * 3), Margins()),
+            lambda: looks(Reference(means=np.ones(1), starts=2), one_scene([1.0] * 3), Margins()),
             "3 draws of 2 numbers",
         ),
     ],
@@ -373,7 +384,7 @@ def test_what_cannot_be_judged_is_refused_by_name(make, says):
 
 def test_a_ruling_counts_the_trials_of_both_its_parts():
     decision = TrialDecision(
-        word="PASS", mean=37, followed=(40, 90), named=(), waits_for=(), ahead=()
+        word="PASS", mean=37, followed=(40, 90), named=(), waits_for=(), pending=()
     )
     assert decision.trials == 39
 
@@ -390,10 +401,10 @@ def test_rounds_with_a_fixed_order_of_scenes_are_judged_when_they_are_whole(wher
     trials = DrawnTrials(
         scenes=which, candidate=drawn.reshape(gates, -1), baseline=np.full(which.shape, 0.95)
     )
-    bank, share = Bank.of(np.tile(level[:, None], (1, 60))).fresh(), {}
+    reference, share = Reference.of(np.tile(level[:, None], (1, 60))).fresh(), {}
     for every in (1, scenes):
         rules = TrialRules(tiers=("supporting",) * scenes, look_every=every)
-        words = [decision.word for decision in settle_all(bank, trials, rules)]
+        words = [decision.word for decision in settle_all(reference, trials, rules)]
         share[every] = words.count(wrong) / gates
     nominal = {"PASS": 0.05, "REGRESSED": 0.01}[wrong]
     assert share[scenes] <= nominal + 3 * (nominal * (1 - nominal) / gates) ** 0.5

@@ -1,4 +1,4 @@
-"""A run against a baseline: what comes before its first trial, and after which trial it may end.
+"""A run against a baseline: its checks before the first trial, and when it may end.
 
 On a machine type that its baseline has not seen the baseline has trials of its own. They are a
 run of their own, `baseline/` in the folder of the candidate's: the baseline's policy from the
@@ -6,8 +6,8 @@ starts that the candidate meets, in its order. The first of them show whether bi
 baseline's. If they are, nothing more of it runs. If not, the policy runs beside the candidate from
 every start (a concurrent control), and the baseline's numbers take no part in the comparison.
 
-A part of a run looks at the first trials of the whole run, so that all parts find the same without
-hearing of each other, and what the run would have found. Its control runs from its own starts.
+A part of a run looks at the first trials of the whole run, so that all parts reach the same
+decisions as the whole run, with no exchange. Its control runs from its own initial states.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from nw_base.errors import IncomparableError, PolicyError, TrialError
 from nw_base.files.inside import what_is
 from nw_base.plural import plural
 from nw_base.protocol import PROTOCOLS
-from nw_eval.api.banks import control_rows
+from nw_eval.api.loaded_baselines import control_rows
 from nw_eval.api.plans import rechecks
 from nw_eval.engine.machine import worker_count
 from nw_eval.engine.rounds import RunStanding
@@ -29,7 +29,7 @@ from nw_eval.engine.session import Session, stop_of
 from nw_gate.absolute import word_of_bar
 from nw_gate.baseline.judge import setup_of
 from nw_gate.baseline.match import contradictions, is_baseline, recheck, renewing
-from nw_gate.results.bank import ControlArm, machine_of, trajectory
+from nw_gate.results.baseline import ControlArm, machine_of, trajectory
 from nw_gate.results.provenance import StopInfo
 
 if TYPE_CHECKING:
@@ -38,14 +38,14 @@ if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_gate.baseline.finding import Finding
     from nw_gate.baseline.judge import ComparisonSetup
-    from nw_gate.results.bank import Against, Stratum
+    from nw_gate.results.baseline import LoadedBaseline, Stratum
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
     from nw_gate.verdict import Word
     from nw_policies import Bundle
 
 
-class Contest:
+class BaselineComparison:
     """A candidate's run against a baseline, as `engine.session` asks about it.
 
     A context manager, which closes the control's run.
@@ -56,12 +56,12 @@ class Contest:
         how: how both run.
     """
 
-    def __init__(self, plan: Plan, against: Against, how: How) -> None:
+    def __init__(self, plan: Plan, against: LoadedBaseline, how: How) -> None:
         self._plan = plan
         self._against = against
         self._how = how
         self._cleanup = ExitStack()
-        self._beside: Beside | None = None
+        self._control: ConcurrentControl | None = None
         self._setup: ComparisonSetup | None = None
         self._bar: tuple[int, Word] | None = None
         self._looked = 0
@@ -80,11 +80,11 @@ class Contest:
 
         Args:
             own: the candidate's run, of which no trial has run in this session.
-            interrupts: hears signals while trials run.
+            interrupts: receives signals while trials run.
 
         Raises:
             IncomparableError: the baseline's policy is not here.
-            TrialError: a trial of the baseline's policy came to no result.
+            TrialError: a trial of the baseline's policy produced no result.
         """
         run, name, policy = own.info, self._against.info.name, self._plan.bundle.name
         if self._plan.is_baseline:
@@ -93,26 +93,26 @@ class Contest:
                 f"{policy} is the policy of baseline {name}: {count} per scene re-run; if the "
                 "results match, the others come from the baseline"
             )
-        elif not self._is_seen(run):
-            run = self._looked_at(own, interrupts)
+        elif not self._has_results_here(run):
+            run = self._check_machine(own, interrupts)
         if not run.interrupted and (run.stop is None or run.stop.trials):
             self._setup = setup_of(run, self._against, self._plan.suite.gate)
         return run
 
-    def run_beside(self, places: Sequence[int]) -> None:
+    def run_control(self, indexes: Sequence[int]) -> None:
         """Run more trials of the control, from starts that the candidate meets next.
 
         Args:
-            places: of the drawn order.
+            indexes: in the drawn order.
 
         Raises:
-            TrialError: one came to no result.
+            TrialError: one produced no result.
         """
-        assert self._beside is not None, "it has begun"
+        assert self._control is not None, "it has begun"
         assert self._setup is not None, "it has begun"
-        self._beside.run(places)
-        if not self._beside.is_interrupted:
-            self._against = replace(self._against, control=self._beside.control)
+        self._control.run(indexes)
+        if not self._control.is_interrupted:
+            self._against = replace(self._against, control=self._control.arm)
             self._setup = replace(self._setup, against=self._against)
 
     def end(self, run: RunInfo) -> None:
@@ -121,29 +121,29 @@ class Contest:
         Args:
             run: its run.json, once its trials have ended.
         """
-        beside = self._beside
-        if beside is None or beside.is_interrupted or run.interrupted or run.shard is not None:
+        control = self._control
+        if control is None or control.is_interrupted or run.interrupted or run.shard is not None:
             return
         if run.baseline is not None and run.baseline.checked == "control":
             every = range(len(self._plan.trials))
             stop = run.stop
-            beside.run([x for x in every if stop is None or stop.wants(x)], exactly=True)
+            control.run([x for x in every if stop is None or stop.wants(x)], exactly=True)
 
-    def _looked_at(self, own: Session, interrupts: Interrupts) -> RunInfo:
+    def _check_machine(self, own: Session, interrupts: Interrupts) -> RunInfo:
         """Return run.json with what trials of the baseline show of this machine type."""
         name, run = self._against.info.name, own.info
         self._how.told.message(
             f"baseline {name} has no results for this machine type, which is normal: its own "
             "policy runs first as a check"
         )
-        self._beside = beside = self._cleanup.enter_context(
-            Beside(self._plan, self._against, own, interrupts, self._how)
+        self._control = control = self._cleanup.enter_context(
+            ConcurrentControl(self._plan, self._against, own, interrupts, self._how)
         )
-        beside.run(beside.order[:CHUNK])
-        if beside.is_interrupted:
+        control.run(control.order[:CHUNK])
+        if control.is_interrupted:
             return run.model_copy(update={"interrupted": True})
-        self._against = replace(self._against, control=beside.control)
-        alike = self._plan.panel == "pinned" and beside.looks_like_the_bank()
+        self._against = replace(self._against, control=control.arm)
+        alike = self._plan.panel == "pinned" and control.has_the_baselines_results()
         if isinstance(alike, tuple):
             known = self._against.info.model_copy(update={"moved": alike})
             return run.model_copy(update={"baseline": known, "stop": StopInfo(first=0)})
@@ -155,10 +155,10 @@ class Contest:
             )
         if not alike and self._plan.shard is not None:
             # A part has all its trials, so that nothing is gained by waiting for the candidate's.
-            beside.run([trial.place for trial in self._plan.trials if trial.place is not None])
-            if beside.is_interrupted:
+            control.run([trial.place for trial in self._plan.trials if trial.place is not None])
+            if control.is_interrupted:
                 return run.model_copy(update={"interrupted": True})
-            self._against = replace(self._against, control=beside.control)
+            self._against = replace(self._against, control=control.arm)
         checked = "bits" if alike else "control"
         known = self._against.info.model_copy(update={"checked": checked, "moved": ()})
         return run.model_copy(update={"baseline": known})
@@ -173,12 +173,12 @@ class Contest:
         Args:
             ended: rows of trials that have ended, by index in the order.
         """
-        now, beside = self._standing(ended), self._beside
-        if now.ahead and beside is not None and self._is_controlled:
-            lacking = tuple(x for x in now.ahead if x not in beside.places)
-            if lacking and lacking[0] in now.ahead[: worker_count(self._how.workers, CHUNK)]:
+        now, control = self._standing(ended), self._control
+        if now.pending and control is not None and self._is_controlled:
+            lacking = tuple(x for x in now.pending if x not in control.indexes)
+            if lacking and lacking[0] in now.pending[: worker_count(self._how.workers, CHUNK)]:
                 return replace(now, lacks=lacking[:CHUNK])
-        return replace(now, ahead=tuple(x for x in now.ahead if x not in ended))
+        return replace(now, pending=tuple(x for x in now.pending if x not in ended))
 
     @property
     def _is_controlled(self) -> bool:
@@ -191,27 +191,32 @@ class Contest:
         if self._how.all_rounds:
             met = setup.met(list(ended.values()))
             is_met = met.ended(every)
-            return RunStanding(first=len(every), ahead=tuple(x for x in every if not is_met[x]))
-        if self._plan.is_baseline and (known := self._of_recheck(ended, setup)) is not None:
+            return RunStanding(first=len(every), pending=tuple(x for x in every if not is_met[x]))
+        if (
+            self._plan.is_baseline
+            and (known := self._standing_of_recheck(ended, setup)) is not None
+        ):
             return known
         setup = setup.on(list(ended.values()))
         finding = setup.find(setup.met(list(ended.values())))
         bar = self._bar_by(ended, count)
         first = _ends_at(finding, bar)
         if first is None:
-            rest = {x for x in every if x not in ended} | set(finding.ahead)
-            return RunStanding(first=count, ahead=tuple(sorted(rest)))
+            rest = {x for x in every if x not in ended} | set(finding.pending)
+            return RunStanding(first=count, pending=tuple(sorted(rest)))
         missing = [x for x in range(first) if x not in ended]
         passes = finding.word != "REGRESSED" and (bar is None or bar[1] != "REGRESSED")
         has_followed = passes or (finding.followed and finding.followed[-1] >= first)
         return RunStanding(
             first=first,
             followed=tuple(x for x in finding.followed if x >= first) if has_followed else (),
-            ahead=tuple(sorted({*missing, *(finding.ahead if passes else ())})),
+            pending=tuple(sorted({*missing, *(finding.pending if passes else ())})),
             waits_for=_names(finding.waits_for) if passes else (),
         )
 
-    def _of_recheck(self, ended: Mapping[int, Row], setup: ComparisonSetup) -> RunStanding | None:
+    def _standing_of_recheck(
+        self, ended: Mapping[int, Row], setup: ComparisonSetup
+    ) -> RunStanding | None:
         """Return what comes next of the baseline's own policy: some starts of each scene.
 
         None where the baseline has not seen the machine type, and bits are others: its trials
@@ -220,9 +225,9 @@ class Contest:
         every = range(len(self._plan.trials))
         first = min(rechecks(self._plan.request) * len(setup.strata), len(every))
         if missing := tuple(x for x in range(first) if x not in ended):
-            return RunStanding(first=first, ahead=missing)
+            return RunStanding(first=first, pending=missing)
         rows = [ended[x] for x in range(first)]
-        again = recheck(rows, setup.run, setup.bank)
+        again = recheck(rows, setup.run, setup.results)
         if any(row.status == "error" for row in rows) or again.equal or again.differing:
             return RunStanding(first=first)
         try:
@@ -237,18 +242,18 @@ class Contest:
             self._bar = 0, "RAN"
         while self._bar is None and self._looked < count:
             self._looked += 1
-            rows = [ended[place] for place in range(self._looked)]
+            rows = [ended[index] for index in range(self._looked)]
             scenes = [scene.name for scene in self._plan.scenes]
             word = word_of_bar(rows, self._plan.suite.gate, scenes)
             if word in {"PASS", "REGRESSED"}:
                 self._bar = self._looked, word
         return self._bar
 
-    def _is_seen(self, run: RunInfo) -> bool:
+    def _has_results_here(self, run: RunInfo) -> bool:
         """Whether nothing of the baseline need be run on this machine."""
-        if self._against.bank.panel_of(machine_of(run)) is not None:
+        if self._against.results.panel_of(machine_of(run)) is not None:
             return True
-        return is_baseline(run.policy, self._against.bank)
+        return is_baseline(run.policy, self._against.results)
 
 
 def _names(strata: Iterable[Stratum]) -> tuple[str, ...]:
@@ -257,7 +262,7 @@ def _names(strata: Iterable[Stratum]) -> tuple[str, ...]:
 
 
 def _first_missing(ended: Mapping[int, Row]) -> int:
-    return next(place for place in range(len(ended) + 1) if place not in ended)
+    return next(index for index in range(len(ended) + 1) if index not in ended)
 
 
 def _ends_at(finding: Finding, bar: tuple[int, Word] | None) -> int | None:
@@ -287,14 +292,14 @@ CHUNK = 16
 """Trials of the baseline that run at once: workers take some seconds to start."""
 
 
-class Beside:
+class ConcurrentControl:
     """The baseline's policy beside a candidate: a run of its own; a context manager.
 
     Args:
         plan: the candidate's.
         against: the baseline.
         own: the candidate's run.
-        interrupts: hears signals while trials run.
+        interrupts: receives signals while trials run.
         how: how the candidate runs.
 
     Raises:
@@ -302,7 +307,7 @@ class Beside:
     """
 
     def __init__(
-        self, plan: Plan, against: Against, own: Session, interrupts: Interrupts, how: How
+        self, plan: Plan, against: LoadedBaseline, own: Session, interrupts: Interrupts, how: How
     ) -> None:
         from nw_eval.api.plans import baseline_plan
 
@@ -318,9 +323,9 @@ class Beside:
             out=None if is_begun else nested.path,
             resume=nested.path if is_begun else None,
         )
-        self.places = set[int]()
-        """Of what has run."""
-        self._control: ControlArm | None = None
+        self.indexes = set[int]()
+        """Indexes of the trials that have run."""
+        self._arm: ControlArm | None = None
 
     def __enter__(self) -> Self:
         self._session.__enter__()
@@ -336,29 +341,29 @@ class Beside:
 
     @property
     def order(self) -> list[int]:
-        """Places of all trials that there are to run, in order; of a part, those of its run."""
+        """Indexes of all trials that there are to run, in order; of a part, those of its run."""
         return sorted(trial.place for trial in self._plan.trials if trial.place is not None)
 
     @property
-    def control(self) -> ControlArm | None:
+    def arm(self) -> ControlArm | None:
         """What has run so far; None if nothing has."""
-        return self._control
+        return self._arm
 
-    def run(self, places: Collection[int], *, exactly: bool = False) -> None:
+    def run(self, indexes: Collection[int], *, exactly: bool = False) -> None:
         """Run the trials at some positions of the candidate's order, those that have not run yet.
 
         Args:
-            places: in the order.
+            indexes: in the order.
             exactly: whether only these are to be kept of all that have run.
 
         Raises:
-            TrialError: a trial of the baseline's policy came to no result, or not to what the cache
-                says.
+            TrialError: a trial of the baseline's policy produced no result, or another one than the
+                cache has.
         """
-        self.places = set(places) if exactly else self.places | set(places)
-        self._session.run_these(self.places)
-        standing = RunStanding(first=0, followed=tuple(sorted(self.places)))
-        is_whole = len(self.places) == len(self._plan.trials) or self.is_interrupted
+        self.indexes = set(indexes) if exactly else self.indexes | set(indexes)
+        self._session.run_these(self.indexes)
+        standing = RunStanding(first=0, followed=tuple(sorted(self.indexes)))
+        is_whole = len(self.indexes) == len(self._plan.trials) or self.is_interrupted
         self._session.write_rows(None if is_whole else stop_of(self._plan, standing))
         own = self._session.info
         if own.cache is not None and own.cache.differing:
@@ -368,17 +373,17 @@ class Beside:
             )
         if not self.is_interrupted:
             nested = self._session.folder
-            self._control = ControlArm(run=own, rows=control_rows(nested, own, self._folder))
+            self._arm = ControlArm(run=own, rows=control_rows(nested, own, self._folder))
 
-    def looks_like_the_bank(self) -> bool | tuple[str, ...]:
+    def has_the_baselines_results(self) -> bool | tuple[str, ...]:
         """Return whether the trials so far have the baseline's bits; sentences where they do not.
 
         Only a candidate on the baseline's own starts can be asked.
         """
-        assert self._control is not None, "something has run"
-        bank, rows = self._against.bank, self._control.rows
-        panel = bank.panels[0]
-        if wrong := contradictions(rows, bank, panel):
+        assert self._arm is not None, "something has run"
+        baseline, rows = self._against.results, self._arm.rows
+        panel = baseline.panels[0]
+        if wrong := contradictions(rows, baseline, panel):
             return wrong
         return all(
             trajectory(row)
@@ -387,7 +392,7 @@ class Beside:
         )
 
 
-def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
+def _bundle(plan: Plan, against: LoadedBaseline, run: RunInfo) -> Bundle:
     """Return the baseline's policy: where the request says, or the baseline.
 
     Raises:
@@ -396,7 +401,7 @@ def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
     from nw_policies import find_card, load_bundle
     from nw_sim.rollout.confined.vetting import vet_bundle
 
-    own = against.bank.manifest.policy
+    own = against.results.manifest.policy
     reference = plan.request.baseline_policy or own.card or own.name
     try:
         bundle = vet_bundle(
@@ -422,5 +427,5 @@ def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
         f"baseline {against.info.name} has no results for this machine type, and its policy "
         f"{own.name} cannot be run on it: {fault}",
         fix="name its card with --baseline-policy PATH, or save the baseline on this machine: "
-        f"`{renewing(run, against.bank)}`",
+        f"`{renewing(run, against.results)}`",
     )

@@ -26,8 +26,8 @@ from nw_base.files.inside import what_is
 from nw_base.files.shipped import shipped
 from nw_base.plural import plural
 from nw_base.words import OUTCOMES
-from nw_gate.results.bank import (
-    BankPolicy,
+from nw_gate.results.baseline import (
+    BaselinePolicy,
     BaselineResults,
     Manifest,
     Panel,
@@ -60,26 +60,26 @@ _MANIFEST = "bank"
 _RESTORE = "restore it from git, or replace it: `nw-eval baseline save` with --renew"
 
 
-def write_bank(path: Path, bank: BaselineResults) -> None:
+def write_baseline(path: Path, baseline: BaselineResults) -> None:
     """Write a baseline. Equal baselines give equal bytes with one version of Arrow.
 
     Args:
         path: `<name of the baseline>.parquet`; appears whole or not at all.
-        bank: starts in the order of scene, perturbation and index.
+        baseline: starts in the order of scene, perturbation and index.
 
     Raises:
         StoreError: it cannot be written, or could not be read again.
     """
-    if fault := fault_of(bank) or _misnamed(path, bank.manifest):
+    if fault := fault_of(baseline) or _misnamed(path, baseline.manifest):
         raise StoreError(f"cannot write {path}: {fault}", fix="save the baseline anew from a run")
-    content = bank.manifest.model_dump(mode="json")
-    if not bank.manifest.scores:
+    content = baseline.manifest.model_dump(mode="json")
+    if not baseline.manifest.scores:
         del content["scores"]  # An older baseline stays as it is.
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    write_small_table(path, bank_table(bank), {_MANIFEST: text})
+    write_small_table(path, baseline_table(baseline), {_MANIFEST: text})
 
 
-def bank_table(bank: BaselineResults) -> pa.Table:
+def baseline_table(baseline: BaselineResults) -> pa.Table:
     """Return the starts of all machines' results, one after another, as an Arrow table.
 
     Its columns are the number of the class of machine in the manifest, those of a row, and the
@@ -89,8 +89,8 @@ def bank_table(bank: BaselineResults) -> pa.Table:
 
     from nw_gate.results.parquet import SCHEMA
 
-    # A column that came later is there if it says anything: older banks stay as they are.
-    starts = [start for panel in bank.panels for start in panel.starts]
+    # A column that came later is there if it says anything: older baselines stay as they are.
+    starts = [start for panel in baseline.panels for start in panel.starts]
     names = [
         name
         for name, column in SHARED.items()
@@ -109,13 +109,13 @@ def bank_table(bank: BaselineResults) -> pa.Table:
             **{name: getattr(start, name) for name in names},
             "trajectory": bytes.fromhex(start.trajectory),
         }
-        for number, panel in enumerate(bank.panels)
+        for number, panel in enumerate(baseline.panels)
         for start in panel.starts
     ]
     return pa.Table.from_pylist(lines, schema=schema)
 
 
-def read_bank(path: Path) -> BaselineResults:
+def read_baseline(path: Path) -> BaselineResults:
     """Read a baseline, which may be untrusted.
 
     Raises:
@@ -129,10 +129,10 @@ def read_bank(path: Path) -> BaselineResults:
         raise UsageError(
             f"no baseline at {path}", fix="`nw-eval baseline list` says which there are"
         )
-    return bank_of(read_small_table(path, fix=_RESTORE), path)
+    return baseline_of(read_small_table(path, fix=_RESTORE), path)
 
 
-def bank_of(table: PlainTable, path: Path) -> BaselineResults:
+def baseline_of(table: PlainTable, path: Path) -> BaselineResults:
     """Return the baseline that a table is, if it is one.
 
     Args:
@@ -140,7 +140,7 @@ def bank_of(table: PlainTable, path: Path) -> BaselineResults:
         path: of its file.
 
     Raises:
-        IncomparableError: as `read_bank`.
+        IncomparableError: as `read_baseline`.
     """
     manifest = _manifest(table.metadata.get(_MANIFEST), path)
     needed = [name for name, column in SHARED.items() if not column.added]
@@ -156,15 +156,15 @@ def bank_of(table: PlainTable, path: Path) -> BaselineResults:
         Panel(machine=info.machine, starts=tuple(starts))
         for info, starts in zip(manifest.panels, groups, strict=False)
     ]
-    bank = BaselineResults(manifest=manifest, panels=tuple(panels))
-    if fault := fault_of(bank):
+    baseline = BaselineResults(manifest=manifest, panels=tuple(panels))
+    if fault := fault_of(baseline):
         raise _unusable(path, fault)
     if fault := _misnamed(path, manifest):
         raise IncomparableError(
             f"{path} cannot be compared with: {fault}",
             fix=f"call the file {manifest.name}{SUFFIX}, or save a baseline of the other name",
         )
-    return bank
+    return baseline
 
 
 def _manifest(text: str | None, path: Path) -> Manifest:
@@ -185,8 +185,8 @@ def _manifest(text: str | None, path: Path) -> Manifest:
         return Manifest.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(str(part) for part in ("manifest", *first["loc"]))
-        raise _unusable(path, clean(f"{place}: {first['msg'].lower()}", at_most=300)) from None
+        location = ".".join(str(part) for part in ("manifest", *first["loc"]))
+        raise _unusable(path, clean(f"{location}: {first['msg'].lower()}", at_most=300)) from None
     except (ValueError, RecursionError):
         raise _unusable(path, "its manifest is no JSON") from None
 
@@ -219,11 +219,11 @@ def _unusable(path: Path, fault: str) -> IncomparableError:
     return IncomparableError(f"{path} cannot be compared with: {fault}", fix=_RESTORE)
 
 
-BANKS = Path("reports/baselines")
-"""Where a project keeps its banks, a folder for each suite."""
+BASELINES_FOLDER = Path("reports/baselines")
+"""Where a project keeps its baselines, a folder for each suite."""
 
 
-def find_bank(reference: str | Path, *, suite: str, root: Path = BANKS) -> Path:
+def find_baseline(reference: str | Path, *, suite: str, root: Path = BASELINES_FOLDER) -> Path:
     """Return the file of a baseline.
 
     Args:
@@ -234,7 +234,7 @@ def find_bank(reference: str | Path, *, suite: str, root: Path = BANKS) -> Path:
 
     Raises:
         UsageError: there is none.
-        IncomparableError: the project and nw-eval have different banks of that name.
+        IncomparableError: the project and nw-eval have different baselines of that name.
     """
     name = str(reference)
     if what_is(Path(name)) != "file":
@@ -259,24 +259,26 @@ def find_bank(reference: str | Path, *, suite: str, root: Path = BANKS) -> Path:
     return found[0]
 
 
-def find_any(reference: str | Path, *, suite: str | None = None, root: Path = BANKS) -> Path:
+def find_any(
+    reference: str | Path, *, suite: str | None = None, root: Path = BASELINES_FOLDER
+) -> Path:
     """Return the file of a baseline whose suite need not be known.
 
     Args:
         reference: a path; `<suite>/<name>`; or a name alone.
         suite: the suite's name, where several have a baseline of that name.
-        root: as for `find_bank`.
+        root: as for `find_baseline`.
 
     Raises:
         UsageError: there is none, or several suites have one.
-        IncomparableError: as `find_bank`.
+        IncomparableError: as `find_baseline`.
     """
     text = str(reference)
     if what_is(Path(text)) == "file":
         return Path(text)
     folder, _, name = text.rpartition("/")
-    banks = bank_files(root=root)
-    suites = sorted({path.parent.name for path in banks if path.stem == name})
+    baselines = baseline_files(root=root)
+    suites = sorted({path.parent.name for path in baselines if path.stem == name})
     if suite is not None and folder in {"", suite}:
         suites = [suite]  # Whose baseline it is not, if it has none.
     elif folder:
@@ -285,12 +287,12 @@ def find_any(reference: str | Path, *, suite: str | None = None, root: Path = BA
         listed = ", ".join(f"{each}/{name}" for each in suites)
         raise UsageError(f"several suites have a baseline {name!r}", fix=f"name one: {listed}")
     if not suites:
-        known = [f"{path.parent.name}/{path.stem}" for path in banks]
+        known = [f"{path.parent.name}/{path.stem}" for path in baselines]
         raise UsageError(f"no baseline {text!r}", fix=nearest(text, sorted(set(known))))
-    return find_bank(name, suite=suites[0], root=root)
+    return find_baseline(name, suite=suites[0], root=root)
 
 
-def bank_files(suite: str | None = None, *, root: Path = BANKS) -> tuple[Path, ...]:
+def baseline_files(suite: str | None = None, *, root: Path = BASELINES_FOLDER) -> tuple[Path, ...]:
     """Return the files of all baselines, the project's first; of one suite if named.
 
     A shipped one that the project has, bit for bit, is there once.
@@ -308,13 +310,13 @@ def _folders(suite: str, root: Path) -> tuple[Path, Path]:
 
 
 def _hint(name: str, suite: str, root: Path) -> str:
-    known = [path.stem for path in bank_files(suite, root=root)]
+    known = [path.stem for path in baseline_files(suite, root=root)]
     if known:
         return nearest(name, known)
     return f"none is known; `nw-eval baseline save {suite} --policy POLICY` makes one"
 
 
-def bank_of_run(
+def baseline_of_run(
     rows: Sequence[Row],
     run: RunInfo,
     *,
@@ -330,7 +332,7 @@ def bank_of_run(
         rows: those of the run's plan, in any order.
         run: what they are of.
         name: the baseline's.
-        card: `BankPolicy.card`.
+        card: `BaselinePolicy.card`.
         by: `PanelInfo.by`.
         note: `Manifest.note`.
         held_out: `Manifest.held_out`.
@@ -342,13 +344,14 @@ def bank_of_run(
     """
     if run.panel != "pinned":
         raise IncomparableError(
-            f"run {run.id} makes no baseline: it met fresh starts of its own, as no other run does",
+            f"run {run.id} makes no baseline: it met fresh initial states of its own, as no "
+            "other run does",
             fix="save one from a run on the pinned seed set",
         )
     if errors := [row for row in rows if row.status == "error"]:
         first = min(errors, key=lambda row: row.trial_id)
         raise TrialError(
-            f"{len(errors)} of {plural(len(rows), 'trial')} of run {run.id} came to no result, "
+            f"{len(errors)} of {plural(len(rows), 'trial')} of run {run.id} have no result, "
             f"first {first.trial_id}: {first.error_text or first.outcome}",
             fix="try them again: the same command, or `nw-eval run --resume`",
         )
@@ -366,7 +369,7 @@ def bank_of_run(
         note=clean(note, at_most=500),
         starts=len(starts) // max(1, len({start.stratum for start in starts})) or 1,
         key=key_of(run),
-        policy=BankPolicy(
+        policy=BaselinePolicy(
             name=run.policy.name,
             card_digest=run.policy.card_digest,
             checkpoint_digest=run.policy.checkpoint_digest,
@@ -383,34 +386,34 @@ def bank_of_run(
             ),
         ),
     )
-    bank = BaselineResults(
+    baseline = BaselineResults(
         manifest=manifest, panels=(Panel(machine=machine, starts=tuple(starts)),)
     )
-    if fault := fault_of(bank):
+    if fault := fault_of(baseline):
         raise IncomparableError(
             f"run {run.id} makes no baseline: {fault}",
             fix="save one from a run without a baseline, of all of the suite's scenes",
         )
-    return bank
+    return baseline
 
 
-def with_panel(bank: BaselineResults, other: BaselineResults) -> BaselineResults:
+def with_panel(baseline: BaselineResults, other: BaselineResults) -> BaselineResults:
     """Return a baseline and another one's results, of the same key, policy and starts.
 
     Args:
-        bank: the baseline.
+        baseline: the baseline.
         other: of other classes of machine.
     """
-    infos = (*bank.manifest.panels, *other.manifest.panels)
+    infos = (*baseline.manifest.panels, *other.manifest.panels)
     return replace(
-        bank,
-        manifest=bank.manifest.model_copy(
+        baseline,
+        manifest=baseline.manifest.model_copy(
             update={
                 "panels": infos,
-                "scores": tuple(x for x in bank.manifest.scores if x in other.manifest.scores),
+                "scores": tuple(x for x in baseline.manifest.scores if x in other.manifest.scores),
             }
         ),
-        panels=(*bank.panels, *other.panels),
+        panels=(*baseline.panels, *other.panels),
     )
 
 
@@ -445,15 +448,17 @@ def place_of(start: Start) -> tuple[Stratum, int]:
     return start.stratum, start.seed_index
 
 
-def fault_of(bank: BaselineResults) -> str | None:
+def fault_of(baseline: BaselineResults) -> str | None:
     """Return the first thing that is wrong with a baseline, or None."""
-    fault = _fault_of_manifest(bank.manifest) or _fault_of_machines(bank)
+    fault = _fault_of_manifest(baseline.manifest) or _fault_of_machines(baseline)
     if fault is not None:
         return fault
-    for panel in bank.panels:
-        if fault := _fault_of_panel(panel, bank.manifest):
+    for panel in baseline.panels:
+        if fault := _fault_of_panel(panel, baseline.manifest):
             return fault
-    if any(panel.by_stratum.keys() != bank.panels[0].by_stratum.keys() for panel in bank.panels):
+    if any(
+        panel.by_stratum.keys() != baseline.panels[0].by_stratum.keys() for panel in baseline.panels
+    ):
         return "its machines' results differ in their perturbations"
     return None
 
@@ -467,13 +472,13 @@ def _fault_of_manifest(manifest: Manifest) -> str | None:
     return None
 
 
-def _fault_of_machines(bank: BaselineResults) -> str | None:
-    machines = [panel.machine for panel in bank.panels]
+def _fault_of_machines(baseline: BaselineResults) -> str | None:
+    machines = [panel.machine for panel in baseline.panels]
     if len(machines) > MOST_PANELS:
         return f"it has {len(machines)} panels, over {MOST_PANELS}"
-    if machines != [panel.machine for panel in bank.manifest.panels]:
+    if machines != [panel.machine for panel in baseline.manifest.panels]:
         return "its results are not those that its manifest lists"
-    if any(machine in machines[:place] for place, machine in enumerate(machines)):
+    if any(machine in machines[:index] for index, machine in enumerate(machines)):
         return "it has two sets of results from one class of machine"
     return None
 
@@ -494,7 +499,7 @@ def _fault_of_panel(panel: Panel, manifest: Manifest) -> str | None:
     if any(found != cells[panel.starts[0].scene] for found in cells.values()):
         return "its scenes differ in what is perturbed"
     if list(panel.starts) != sorted(panel.starts, key=place_of):
-        return "its starts are not in the order of scene, perturbation and index"
+        return "its initial states are not in the order of scene, perturbation and index"
     return None
 
 
@@ -556,7 +561,7 @@ def _fault_of_indexes(found: list[int], starts: int) -> str | None:
     if times > 1:
         return f"start {index} is there {times} times"
     if len(found) != starts:
-        return f"{plural(len(found), 'start')}, its manifest says {starts}"
+        return f"{plural(len(found), 'initial state')}, its manifest says {starts}"
     if max(found) != starts - 1:
         return f"start {max(found)} is not between 0 and {starts - 1}"
     return None

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nw_gate.stats.bank.trials import order_of_starts, order_of_trials
+from nw_gate.stats.baseline.trials import order_of_starts, order_of_trials
 
 
 def order(starts: int = 60, **changes: str) -> list[int]:
@@ -25,7 +25,7 @@ def test_candidates_suites_and_scenes_have_orders_of_their_own():
     )
 
 
-def test_a_larger_bank_keeps_the_order_of_the_starts_that_it_had():
+def test_a_larger_baseline_keeps_the_order_of_the_starts_that_it_had():
     assert [start for start in order(90) if start < 60] == order(60)
 
 

@@ -13,7 +13,7 @@ from nw_gate.results.request import Request
 
 if TYPE_CHECKING:
     from nw_eval.suite import Suite
-    from nw_gate.results.bank import Against
+    from nw_gate.results.baseline import LoadedBaseline
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
     from nw_gate.results.run_folder import RunFolder
@@ -21,40 +21,42 @@ if TYPE_CHECKING:
 NO_BASELINE = "none"
 """What is asked for where a suite names a baseline and none is wanted."""
 
-_latest: dict[tuple[str, str], Against] = {}
+_latest: dict[tuple[str, str], LoadedBaseline] = {}
 """The baseline that was read last, by its file's name and digest: a run is judged by the baseline
 that it was planned with, and a process of its own takes a third of a second to read it."""
 
 
-def wanted_bank(request: Request, suite: Suite, *, own_policy: bool) -> Against | None:
-    """Return the baseline to compare with; None if there is to be none.
+def wanted_baseline(request: Request, suite: Suite, *, own_policy: bool) -> LoadedBaseline | None:
+    """Return the baseline to compare with; None when no baseline is wanted.
 
     Args:
-        request: what is asked for.
+        request: the options given.
         suite: the suite.
         own_policy: whether the policy is the suite's own. Its baseline counts for no other: a
             user's first verdict is about the user's policy.
 
     Raises:
-        UsageError: there is no such bank.
+        UsageError: there is no such baseline.
         StoreError: it is damaged.
-        IncomparableError: it is none, or of another version.
+        IncomparableError: it is not a baseline file, or has another version.
     """
-    from nw_gate.results.bank_file import find_bank
+    from nw_gate.results.baseline_file import find_baseline
 
     reference = request.baseline
     if reference is None and own_policy:
         reference = suite.gate.baseline
     if reference is None or reference == NO_BASELINE:
         return None
-    return _opened(find_bank(reference, suite=suite.name))
+    return _opened(find_baseline(reference, suite=suite.name))
 
 
-def kept_bank(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -> Against | None:
+def kept_baseline(
+    folder: RunFolder, info: RunInfo, *, elsewhere: bool = True
+) -> LoadedBaseline | None:
     """Return the baseline that a run was begun with, from the copy in its folder, or where it was.
 
     Args:
-        folder: of the run.
+        folder: the run's folder.
         info: its run.json.
         elsewhere: whether the path that run.json names may be read.
 
@@ -63,11 +65,14 @@ def kept_bank(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -> Ag
     """
     if info.baseline is None:
         return None
-    places = [folder.bank(info.baseline.name), *([Path(info.baseline.path)] if elsewhere else [])]
+    places = [
+        folder.baseline_file(info.baseline.name),
+        *([Path(info.baseline.path)] if elsewhere else []),
+    ]
     for path in places:
         if path.is_file() and (digest := _digest(path.read_bytes())) == info.baseline.sha256:
             against = (_latest.get((path.name, digest)) or _opened(path)).of_run(info.baseline)
-            return _beside(against, folder, info)
+            return _with_control(against, folder, info)
     raise IncomparableError(
         f"run {info.id} is compared with baseline {info.baseline.name}, and neither its copy of it "
         f"nor {info.baseline.path} is there as it was",
@@ -75,7 +80,7 @@ def kept_bank(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -> Ag
     )
 
 
-def _beside(against: Against, folder: RunFolder, info: RunInfo) -> Against:
+def _with_control(against: LoadedBaseline, folder: RunFolder, info: RunInfo) -> LoadedBaseline:
     """Return a baseline with the trials of its policy that ran beside those of a run, if any did.
 
     Raises:
@@ -83,7 +88,7 @@ def _beside(against: Against, folder: RunFolder, info: RunInfo) -> Against:
         TrialError: one is an error.
     """
     from nw_base.files.inside import what_is
-    from nw_gate.results.bank import ControlArm
+    from nw_gate.results.baseline import ControlArm
     from nw_gate.results.provenance import read_run_info
 
     nested, known = folder.baseline, info.baseline
@@ -117,50 +122,50 @@ def control_rows(nested: RunFolder, own: RunInfo, folder: RunFolder) -> tuple[Ro
     return rows
 
 
-def judging_bank(
+def judging_baseline(
     folder: RunFolder, info: RunInfo, suite: Suite, reference: str | None
-) -> Against | None:
-    """Return the baseline to judge the rows of a run against; None if there is to be none.
+) -> LoadedBaseline | None:
+    """Return the baseline to judge a run against; None when no baseline is wanted.
 
     Args:
-        folder: of the run.
+        folder: the run's folder.
         info: its run.json.
         suite: its suite.
         reference: the baseline that is asked for; if None, that which the run was begun against, or
             else the one that the suite names for its own policy.
 
     Raises:
-        UsageError, StoreError: as `wanted_bank`.
-        IncomparableError: as `kept_bank`.
+        UsageError, StoreError: as `wanted_baseline`.
+        IncomparableError: as `kept_baseline`.
         TrialError: a trial of the control is an error.
     """
     if reference is None and info.baseline is not None:
-        return kept_bank(folder, info)
-    against = wanted_bank(Request(baseline=reference), suite, own_policy=info.own_policy)
+        return kept_baseline(folder, info)
+    against = wanted_baseline(Request(baseline=reference), suite, own_policy=info.own_policy)
     if against and info.baseline and against.info.sha256 == info.baseline.sha256:
-        return _beside(against, folder, info)
+        return _with_control(against, folder, info)
     return against
 
 
-def resumed_bank(
+def resumed_baseline(
     folder: RunFolder, info: RunInfo, suite: Suite, request: Request
-) -> Against | None:
+) -> LoadedBaseline | None:
     """Return the baseline to go on with in a run: the one that it was begun with.
 
     Args:
-        folder: of the run.
+        folder: the run's folder.
         info: its run.json.
         suite: its suite.
-        request: what is asked for now.
+        request: the options given now.
 
     Raises:
-        UsageError, StoreError: as `wanted_bank`.
-        IncomparableError: as `kept_bank`; or another baseline is asked for now.
+        UsageError, StoreError: as `wanted_baseline`.
+        IncomparableError: as `kept_baseline`; or another baseline is asked for now.
     """
-    kept = kept_bank(folder, info)
+    kept = kept_baseline(folder, info)
     if request.baseline is None:
         return kept
-    wanted = wanted_bank(request, suite, own_policy=info.own_policy)
+    wanted = wanted_baseline(request, suite, own_policy=info.own_policy)
     if kept is None or (wanted is not None and wanted.info.sha256 == kept.info.sha256):
         return wanted
     now = str(request.baseline) + ("" if wanted is None else f" ({wanted.info.sha256[:8]})")
@@ -171,7 +176,7 @@ def resumed_bank(
     )
 
 
-def check_rounds(against: Against, rounds: int, suite: Suite, request: Request) -> None:
+def check_rounds(against: LoadedBaseline, rounds: int, suite: Suite, request: Request) -> None:
     """Refuse more trials of each scene than a baseline has starts.
 
     Raises:
@@ -179,26 +184,30 @@ def check_rounds(against: Against, rounds: int, suite: Suite, request: Request) 
     """
     from nw_gate.baseline.match import saving
 
-    name, starts = against.info.name, against.bank.manifest.starts
+    name, starts = against.info.name, against.results.manifest.starts
     if rounds > starts:
-        policy = request.baseline_policy or against.bank.manifest.policy.typed
+        policy = request.baseline_policy or against.results.manifest.policy.typed
         words = (str(request.suite or suite.name), policy, "--trials", str(rounds))
         raise IncomparableError(
-            f"baseline {name} has {plural(starts, 'start')} in each scene, and {rounds} trials of "
-            "each draw more",
-            fix=f"--trials {starts}, or more starts: `{saving(against.bank, *words)}`",
+            f"baseline {name} has {plural(starts, 'initial state')} in each scene, and {rounds} "
+            "trials of each draw more",
+            fix=f"--trials {starts}, or more initial states: `{saving(against.results, *words)}`",
         )
 
 
-def _opened(path: Path) -> Against:
-    from nw_gate.results.bank import Against
-    from nw_gate.results.bank_file import read_bank
+def _opened(path: Path) -> LoadedBaseline:
+    from nw_gate.results.baseline import LoadedBaseline
+    from nw_gate.results.baseline_file import read_baseline
     from nw_gate.results.provenance import BaselineInfo
 
-    bank, content = read_bank(path), path.read_bytes()
-    info = BaselineInfo(name=bank.manifest.name, path=str(path.resolve()), sha256=_digest(content))
+    baseline, content = read_baseline(path), path.read_bytes()
+    info = BaselineInfo(
+        name=baseline.manifest.name, path=str(path.resolve()), sha256=_digest(content)
+    )
     _latest.clear()
-    _latest[path.name, info.sha256] = against = Against(info=info, bank=bank, content=content)
+    _latest[path.name, info.sha256] = against = LoadedBaseline(
+        info=info, results=baseline, content=content
+    )
     return against
 
 

@@ -27,12 +27,12 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from nw_gate.stats.bank.baseline_bets import make_bets
-from nw_gate.stats.bank.evidence import Bank, Floats, Margins, Places, Truths
-from nw_gate.stats.bank.trials import DrawnTrials, TrialDecision, TrialRules, settle_all
+from nw_gate.stats.baseline.baseline_bets import make_bets
+from nw_gate.stats.baseline.evidence import Floats, Margins, Places, Reference, Truths
+from nw_gate.stats.baseline.trials import DrawnTrials, TrialDecision, TrialRules, settle_all
 from nw_gate.stats.power import SceneCounts, chances_at, chances_beside, seeded
 
-Against = Literal["fresh", "panel", "control"]
+ComparisonKind = Literal["fresh", "panel", "control"]
 """What a gate speaks of, and what it compares with. fresh: fresh starts, M is infinite; panel: the
 baseline's own starts alone; control: the baseline's policy, run beside the candidate."""
 
@@ -41,7 +41,7 @@ baseline's own starts alone; control: the baseline's policy, run beside the cand
 class Drawn:
     """Repetitions before anybody is judged: T trials each, in the order drawn."""
 
-    bank: Bank
+    reference: Reference
     """Of each, means of shape (repetitions, S); of a control, which has none, shape (S,)."""
     scenes: Places
     """Shape (repetitions, T)."""
@@ -77,7 +77,7 @@ def draw(
     starts: int | None,
     budget: int,
     repetitions: int,
-    against: Against = "fresh",
+    against: ComparisonKind = "fresh",
     margins: Margins | None = None,
 ) -> Drawn:
     """Return repetitions of a gate against a baseline, the same ones for the same counts.
@@ -113,7 +113,7 @@ def draw(
         panel = panels.reshape(repetitions, len(seen), size)
         means = panel.mean(axis=-1)
         baseline = np.take_along_axis(panels, order, axis=-1)
-    bank = Bank(means=means, starts=size)
+    reference = Reference(means=means, starts=size)
     if margins is not None and against != "control":
         most = max(course.trials for course in seen)
         shown = [np.resize(np.repeat(each.values, each.counts), most) for each in seen]
@@ -121,11 +121,11 @@ def draw(
         bets = make_bets(
             np.array(shown), waypoints, max_drop=margins.max_drop, tolerate=margins.tolerate
         )
-        bank = replace(bank, bets=bets.against(panel))
+        reference = replace(reference, bets=bets.against(panel))
     if against != "panel":
-        bank = Bank.control(len(seen)) if against == "control" else bank.fresh()
+        reference = Reference.control(len(seen)) if against == "control" else reference.fresh()
     return Drawn(
-        bank=bank,
+        reference=reference,
         scenes=scenes,
         baseline=baseline,
         luck=rng.random((repetitions, budget)),
@@ -224,7 +224,7 @@ def operating_curve(
     starts: int | None = None,
     drops: Sequence[float] = DROPS,
     repetitions: int = REPETITIONS,
-    against: Against = "fresh",
+    against: ComparisonKind = "fresh",
     kind: Kind = "every waypoint harder",
 ) -> tuple[CurvePoint, ...]:
     """Return how a gate ends at each drop that the baseline is high enough for.
@@ -232,7 +232,7 @@ def operating_curve(
     Args:
         seen: the baseline's trials, waypoints reached in each scene. Without `starts` they are the
             baseline itself, with as many in each scene.
-        rules: of the gate.
+        rules: the gate's.
         budget: most trials, no more than the baseline has pairs of a scene and a start.
         starts: M of a baseline that is not there yet. Baselines are then drawn, one a repetition,
             from what was seen, as if the success that was seen were the true one.
@@ -255,7 +255,7 @@ def operating_curve(
     mean, points = success_of(seen), list[CurvePoint]()
     for drop in drops:
         if mean - drop > 0.0:
-            decisions = settle_all(drawn.bank, _of_kind(kind, drawn, seen, mean - drop), rules)
+            decisions = settle_all(drawn.reference, _of_kind(kind, drawn, seen, mean - drop), rules)
             words = [decision.word for decision in decisions]
             points.append(
                 CurvePoint(
@@ -283,13 +283,13 @@ def progress_at(
     *,
     starts: int | None = None,
     repetitions: int = REPETITIONS,
-    against: Against = "fresh",
+    against: ComparisonKind = "fresh",
 ) -> Progress:
     """Return how gates of a policy of this drop end if all starts of the baseline may be run.
 
     Args:
         seen: as for `operating_curve`.
-        rules: of the gate.
+        rules: the gate's.
         drop: below the baseline's success.
         starts: as for `operating_curve`.
         repetitions: simulated gates.
@@ -308,7 +308,7 @@ def progress_at(
         against=against,
         margins=rules.margins,
     )
-    decisions = settle_all(drawn.bank, drawn.trials(chances), rules)
+    decisions = settle_all(drawn.reference, drawn.trials(chances), rules)
     return _progress_of(decisions, [decision.trials for decision in decisions], budget)
 
 
@@ -334,7 +334,7 @@ def _progress_of(decisions: Sequence[TrialDecision], trials: Sequence[int], most
 
 
 def progress_from(
-    bank: Bank,
+    reference: Reference,
     trials: DrawnTrials,
     rules: TrialRules,
     *,
@@ -350,11 +350,11 @@ def progress_from(
     drop of .06 alone 50 and 84 %, after 64 trials 28 and 72 %; of .10 94 and 100 %, 68 and 95 %.
 
     Args:
-        bank: of the baseline, or `Bank.control`, without leading axes.
+        reference: a baseline or `Reference.control`, without leading axes.
         trials: all that may still come, in the order drawn, shape (T,), those that have ended among
             them. Of the others the candidate's success, and a control's, is not looked at; NaN
             where a trial that has ended has no result.
-        rules: of the gate.
+        rules: the gate's.
         known: which have ended, shape (T,).
         seen: the baseline's trials in each scene.
         repetitions: simulated ends.
@@ -382,9 +382,9 @@ def progress_from(
         return np.where(ended, scores, drawn)
 
     candidate = simulated(trials.candidate)
-    baseline = simulated(trials.baseline) if bank.paired else trials.baseline
+    baseline = simulated(trials.baseline) if reference.paired else trials.baseline
     ends = settle_all(
-        bank,
+        reference,
         DrawnTrials(scenes=scenes, candidate=candidate, baseline=np.broadcast_to(baseline, shape)),
         rules,
     )

@@ -1,4 +1,4 @@
-"""Runs against a bank: its starts in a drawn order, an early end, a resume, other machines. Real.
+"""Real runs against a baseline: starts in a drawn order, an early end, a resume, other machines.
 
 All rollouts are of the shipped policy, or a softer one, in two scenes, four seconds each.
 """
@@ -26,8 +26,8 @@ from nw_eval.engine import session
 from nw_eval.engine.rounds import Attempts
 from nw_eval.reporting.headline import headline
 from nw_eval.suite import load_suite
-from nw_gate.results.bank import trajectory
-from nw_gate.results.bank_file import bank_of_run, read_bank, write_bank
+from nw_gate.results.baseline import trajectory
+from nw_gate.results.baseline_file import baseline_of_run, read_baseline, write_baseline
 from nw_gate.results.ended import write_trials
 from nw_gate.results.journal import read_journal, write_journal
 from nw_gate.results.provenance import StopInfo, read_run_info
@@ -47,7 +47,7 @@ record: none
 gate:
   {success_rate: 0.05, max_drop: 0.5, tolerate: 0.1, rounds: 4, least_starts: 1, confidence: 0.8}
 """
-BANK = Path("reports/baselines/quick/shipped.parquet")
+BASELINE = Path("reports/baselines/quick/shipped.parquet")
 LIMP = {
     "control": {"action": "joint_position_offset"},
     "observations": {"body": {"sensor": "proprio", "terms": ["gravity", "joint_pos"]}},
@@ -80,7 +80,7 @@ class Ears:
 
 @pytest.fixture(scope="module")
 def scored(tmp_path_factory):
-    """A folder with a suite, the bank of its policy, a softer policy, and what both score."""
+    """A folder with a suite, the baseline of its policy, a softer policy, and what both score."""
     folder = tmp_path_factory.mktemp("project")
     (folder / "quick.yaml").write_text(SUITE)
     shutil.copytree(shipped("policies") / "go1-parkour", folder / "soft")
@@ -91,9 +91,9 @@ def scored(tmp_path_factory):
     whole = api.run(quick, out=folder / "whole", baseline="none", in_process=True)
     soft = str(folder / "soft")
     api.run(quick, policy=soft, out=folder / "plain", baseline="none", in_process=True)
-    bank = bank_of_run(whole.rows, whole.info, name="shipped", card="go1-parkour")
-    (folder / BANK).parent.mkdir(parents=True)
-    write_bank(folder / BANK, bank)
+    baseline = baseline_of_run(whole.rows, whole.info, name="shipped", card="go1-parkour")
+    (folder / BASELINE).parent.mkdir(parents=True)
+    write_baseline(folder / BASELINE, baseline)
     return folder
 
 
@@ -112,24 +112,26 @@ def against(name="run", ears=None, **changes):
 
 
 def forged(change):
-    """Write the bank anew, changed."""
-    bank = change(read_bank(BANK))
-    BANK.unlink()
-    write_bank(BANK, bank)
+    """Write the baseline anew, changed."""
+    baseline = change(read_baseline(BASELINE))
+    BASELINE.unlink()
+    write_baseline(BASELINE, baseline)
 
 
-def elsewhere(bank):
-    """A bank of another machine type."""
-    machine = {**bank.panels[0].machine, "cpu": "elsewhere"}
-    info = bank.manifest.panels[0].model_copy(update={"machine": machine})
-    manifest = bank.manifest.model_copy(update={"panels": (info,)})
-    return replace(bank, manifest=manifest, panels=(replace(bank.panels[0], machine=machine),))
+def elsewhere(baseline):
+    """A baseline of another machine type."""
+    machine = {**baseline.panels[0].machine, "cpu": "elsewhere"}
+    info = baseline.manifest.panels[0].model_copy(update={"machine": machine})
+    manifest = baseline.manifest.model_copy(update={"panels": (info,)})
+    return replace(
+        baseline, manifest=manifest, panels=(replace(baseline.panels[0], machine=machine),)
+    )
 
 
-def other_ways(bank):
-    """A bank of another machine type, on which its policy goes other ways."""
-    starts = tuple(replace(start, trajectory="0" * 16) for start in bank.panels[0].starts)
-    return elsewhere(replace(bank, panels=(replace(bank.panels[0], starts=starts),)))
+def other_ways(baseline):
+    """A baseline of another machine type, on which its policy goes other ways."""
+    starts = tuple(replace(start, trajectory="0" * 16) for start in baseline.panels[0].starts)
+    return elsewhere(replace(baseline, panels=(replace(baseline.panels[0], starts=starts),)))
 
 
 def ran(report):
@@ -217,7 +219,7 @@ def test_what_a_drop_is_due_to_is_found_in_the_very_trials_of_the_run():
         api.run(resume=first.out / "old-control-old-sight" / "run")
 
 
-def test_a_run_that_was_killed_goes_on_elsewhere_without_the_bank_and_ends_with_the_same_trial(
+def test_a_run_that_was_killed_goes_on_elsewhere_without_the_baseline_and_ends_with_the_same_trial(
     project, tmp_path, monkeypatch
 ):
     whole = against("whole-run")
@@ -232,7 +234,7 @@ def test_a_run_that_was_killed_goes_on_elsewhere_without_the_bank_and_ends_with_
         began.model_copy(update={"finished": None, "rows_digest": "", "trials_sha256": ""}),
     )
     assert api.report("cut").verdict.verdict == "INFRASTRUCTURE", "most of it is missing"
-    BANK.unlink()
+    BASELINE.unlink()
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     resumed = api.run(None, resume=project / "cut", in_process=True)
@@ -249,7 +251,7 @@ def test_a_run_that_was_killed_goes_on_elsewhere_without_the_bank_and_ends_with_
         api.run(None, resume=project / "cut", in_process=True)
 
 
-def test_the_policy_of_the_bank_runs_one_start_of_each_scene_and_the_rest_is_taken_over(capsys):
+def test_the_policy_of_the_baseline_runs_one_start_of_each_scene_and_the_rest_is_taken_over(capsys):
     assert ends("run", "quick.yaml", "--baseline", "shipped", "--out", "same") == 0
     out, err = capsys.readouterr()
     assert "go1-parkour is the policy of baseline shipped: 1 initial state per scene re-run" in err
@@ -277,7 +279,8 @@ def test_the_policy_of_the_bank_runs_one_start_of_each_scene_and_the_rest_is_tak
     with pytest.raises(UsageError, match="--recheck 0: give at least 1"):
         api.run("quick.yaml", baseline="shipped", recheck=0)
     with pytest.raises(
-        IncomparableError, match="has 4 starts in each scene, and 5 trials of each draw more"
+        IncomparableError,
+        match="has 4 initial states in each scene, and 5 trials of each draw more",
     ):
         api.run("quick.yaml", baseline="shipped", recheck=5, in_process=True)
 
@@ -287,41 +290,43 @@ def test_the_policy_of_the_bank_runs_one_start_of_each_scene_and_the_rest_is_tak
 
 
 def as_the_policy(run):
-    """What writes into a bank that the policy of a run is its own, with perfect results."""
+    """What writes into a baseline that the policy of a run is its own, with perfect results."""
 
-    def change(bank):
+    def change(baseline):
         own = {
             name: getattr(run.info.policy, name) for name in ("card_digest", "checkpoint_digest")
         }
-        policy = bank.manifest.policy.model_copy(update=own)
+        policy = baseline.manifest.policy.model_copy(update=own)
         best = {"success": 1.0, "completed": True, "outcome": "completed"}
         starts = tuple(
             replace(start, **best, waypoints_reached=start.waypoints_total)
-            for start in bank.panels[0].starts
+            for start in baseline.panels[0].starts
         )
-        manifest = bank.manifest.model_copy(update={"policy": policy})
-        return replace(bank, manifest=manifest, panels=(replace(bank.panels[0], starts=starts),))
+        manifest = baseline.manifest.model_copy(update={"policy": policy})
+        return replace(
+            baseline, manifest=manifest, panels=(replace(baseline.panels[0], starts=starts),)
+        )
 
     return change
 
 
 @pytest.mark.parametrize("all_rounds", [False, True])
 @pytest.mark.parametrize("place", ["here", "elsewhere"])
-def test_a_bank_that_claims_to_be_the_candidates_own_is_invalid_once_a_start_has_run(
+def test_a_baseline_that_claims_to_be_the_candidates_own_is_invalid_once_a_start_has_run(
     place, all_rounds
 ):
     claim = as_the_policy(api.report("plain"))
     # The bits of the policy itself: with other ones nothing is claimed of this machine type.
     own = {(row.scene, row.seed_index): trajectory(row) for row in api.report("plain").rows}
 
-    def with_bits(bank):
+    def with_bits(baseline):
         starts = tuple(
             replace(start, trajectory=own[start.scene, start.seed_index])
-            for start in bank.panels[0].starts
+            for start in baseline.panels[0].starts
         )
-        return replace(bank, panels=(replace(bank.panels[0], starts=starts),))
+        return replace(baseline, panels=(replace(baseline.panels[0], starts=starts),))
 
-    forged(claim if place == "here" else lambda bank: elsewhere(with_bits(claim(bank))))
+    forged(claim if place == "here" else lambda baseline: elsewhere(with_bits(claim(baseline))))
     shown = against(all_rounds=all_rounds)
     assert shown.rows, "some of it ran"
     assert shown.verdict.verdict == "INVALID"
@@ -348,22 +353,22 @@ def test_starts_that_run_again_are_drawn_when_the_run_begins_and_no_file_says_wh
     assert {row.trial_id for row in first.rows} < {row.trial_id for row in more.rows}
 
 
-def test_a_bank_says_which_of_its_starts_are_not_what_its_policy_does(capsys):
-    assert ends("baseline", "verify", BANK, "--suite", "quick.yaml", "--share", "25%") == 0
+def test_a_baseline_says_which_of_its_starts_are_not_what_its_policy_does(capsys):
+    assert ends("baseline", "verify", BASELINE, "--suite", "quick.yaml", "--share", "25%") == 0
     out = capsys.readouterr().out
     assert "re-run: 2 of 2 trials are identical to the baseline, drawn from 8" in out
 
-    def one_wrong(bank):
-        first = bank.panels[0].starts[0]
+    def one_wrong(baseline):
+        first = baseline.panels[0].starts[0]
         starts = (
             replace(first, success=0.0, waypoints_reached=0, completed=False, outcome="fell"),
         )
-        panel = replace(bank.panels[0], starts=(*starts, *bank.panels[0].starts[1:]))
-        return replace(bank, panels=(panel,))
+        panel = replace(baseline.panels[0], starts=(*starts, *baseline.panels[0].starts[1:]))
+        return replace(baseline, panels=(panel,))
 
     forged(one_wrong)
     before = sorted(Path().rglob("*"))
-    assert ends("baseline", "verify", BANK, "--suite", "quick.yaml", "--trials", "8") == 5
+    assert ends("baseline", "verify", BASELINE, "--suite", "quick.yaml", "--trials", "8") == 5
     out = capsys.readouterr().out
     assert out.startswith("scene hurdles/one_low_carpet start 0: success ")
     assert "INVALID: 1 row of baseline shipped differs" in out
@@ -371,10 +376,10 @@ def test_a_bank_says_which_of_its_starts_are_not_what_its_policy_does(capsys):
     assert sorted(Path().rglob("*")) == before, "nothing is written into the project"
     forged(as_the_policy(api.report("plain")))
     with pytest.raises(IncomparableError, match="cannot be verified here: policy c"):
-        api.verify_baseline(BANK, suite="quick.yaml", policy="go1-parkour")
+        api.verify_baseline(BASELINE, suite="quick.yaml", policy="go1-parkour")
 
 
-def test_the_policy_of_the_bank_drives_all_the_same_where_all_rounds_are_wanted(capsys):
+def test_the_policy_of_the_baseline_drives_all_the_same_where_all_rounds_are_wanted(capsys):
     assert (
         ends("run", "quick.yaml", "--baseline", "shipped", "-n", "1", "--all-rounds", "--out", "d")
         == 0
@@ -403,7 +408,7 @@ def test_what_runs_again_runs_though_the_cache_of_trials_has_its_results(tmp_pat
     assert words in headline(every.verdict, every.info)
 
 
-def test_without_a_bank_the_first_line_says_what_is_not_judged(monkeypatch):
+def test_without_a_baseline_the_first_line_says_what_is_not_judged(monkeypatch):
     ears = Ears()
 
     def stop(*_, **__):
@@ -415,11 +420,11 @@ def test_without_a_bank_the_first_line_says_what_is_not_judged(monkeypatch):
     assert "max_drop 0.5 was ignored: ./soft has no baseline in this suite" in ears.lines[0]
     assert "`nw-eval baseline save quick.yaml --policy ./soft`" in ears.lines[0]
     assert any(line.startswith("run folder: ") for line in ears.lines[1:])
-    named_bank = SUITE.replace("  {success_rate", "  {baseline: shipped, success_rate")
-    Path("quick.yaml").write_text(named_bank)
+    named_baseline = SUITE.replace("  {success_rate", "  {baseline: shipped, success_rate")
+    Path("quick.yaml").write_text(named_baseline)
     # It is for the suite's own policy, and for no other.
     assert api.plan("quick.yaml", policy="./soft").against is None
-    Path("quick.yaml").write_text(named_bank.replace("policy: go1-parkour", "policy: ./soft"))
+    Path("quick.yaml").write_text(named_baseline.replace("policy: go1-parkour", "policy: ./soft"))
     named = api.plan("quick.yaml", policy="./soft")
     assert (named.against.info.name, named.suite.trials, named.drawn_from) == ("shipped", 4, 4)
     page = forecast_page(api.check("quick.yaml", policy="./soft"))
@@ -428,19 +433,20 @@ def test_without_a_bank_the_first_line_says_what_is_not_judged(monkeypatch):
     nothing = api.plan("quick.yaml", policy="./soft", baseline="none")
     assert (nothing.against, nothing.drawn_from) == (None, None)
     with pytest.raises(
-        IncomparableError, match="has 4 starts in each scene, and 5 trials of each draw more"
+        IncomparableError,
+        match="has 4 initial states in each scene, and 5 trials of each draw more",
     ):
         api.plan("quick.yaml", policy="./soft", trials=5)
 
 
-def test_a_bank_that_does_not_hold_is_refused_before_anything_is_run():
+def test_a_baseline_that_does_not_hold_is_refused_before_anything_is_run():
     forged(
-        lambda bank: replace(
-            bank,
-            manifest=bank.manifest.model_copy(
+        lambda baseline: replace(
+            baseline,
+            manifest=baseline.manifest.model_copy(
                 update={
-                    "key": bank.manifest.key.model_copy(
-                        update={"simulator": {**bank.manifest.key.simulator, "mujoco": "3.9"}}
+                    "key": baseline.manifest.key.model_copy(
+                        update={"simulator": {**baseline.manifest.key.simulator, "mujoco": "3.9"}}
                     )
                 }
             ),
@@ -478,7 +484,7 @@ def test_a_fresh_panel_follows_from_the_checkpoint_and_from_nothing_else():
     assert rows_digest(again.rows) == rows_digest(judged.rows)
 
 
-def test_where_the_bank_s_bits_are_repeated_its_panel_counts_as_on_its_own_machine():
+def test_where_the_baseline_s_bits_are_repeated_its_panel_counts_as_on_its_own_machine():
     seen = against("seen")
     forged(elsewhere)
     ears = Ears()
@@ -497,7 +503,7 @@ def test_where_the_bank_s_bits_are_repeated_its_panel_counts_as_on_its_own_machi
     assert ran(judged) == ran(seen)
 
 
-def test_where_bits_are_others_the_bank_s_policy_runs_beside_the_candidate_from_the_same_starts():
+def test_where_bits_differ_the_baselines_policy_runs_beside_the_candidate_from_the_same_starts():
     forged(other_ways)
     ears = Ears()
     judged = against(ears=ears)
@@ -545,14 +551,14 @@ def test_a_run_with_a_control_is_the_same_whatever_the_workers_and_after_an_inte
         assert set(arm.trial_id) == {row.trial_id for row in other.rows}
 
 
-def test_a_bank_that_claims_too_much_of_a_machine_with_other_bits_convicts_nobody():
-    def perfect(bank):
+def test_a_baseline_that_claims_too_much_of_a_machine_with_other_bits_convicts_nobody():
+    def perfect(baseline):
         best = {"success": 1.0, "completed": True, "outcome": "completed", "end_reason": ""}
         starts = tuple(
             replace(start, **best, waypoints_reached=start.waypoints_total)
-            for start in bank.panels[0].starts
+            for start in baseline.panels[0].starts
         )
-        return replace(bank, panels=(replace(bank.panels[0], starts=starts),))
+        return replace(baseline, panels=(replace(baseline.panels[0], starts=starts),))
 
     Path("quick.yaml").write_text(SUITE.replace("max_drop: 0.5", "max_drop: 0.3, false_alarm: 0.4"))
     forged(perfect)
@@ -571,7 +577,7 @@ def test_a_bank_that_claims_too_much_of_a_machine_with_other_bits_convicts_nobod
     )
 
 
-def test_ctrl_c_while_the_bank_s_policy_runs_leaves_a_run_that_goes_on(monkeypatch):
+def test_ctrl_c_while_the_baseline_s_policy_runs_leaves_a_run_that_goes_on(monkeypatch):
     forged(elsewhere)
     with monkeypatch.context() as patch:
         patch.setattr(Attempts, "settle", lambda *_: os.kill(os.getpid(), signal.SIGINT))
@@ -592,8 +598,10 @@ def test_ctrl_c_while_more_of_the_control_runs_stops_both_and_both_go_on():
         .replace("confidence: 0.6", "confidence: 0.9999")
     )
     whole = api.run("quick.yaml", baseline="none", workers=2, out=Path("more"))
-    BANK.unlink()
-    write_bank(BANK, bank_of_run(whole.rows, whole.info, name="shipped", card="go1-parkour"))
+    BASELINE.unlink()
+    write_baseline(
+        BASELINE, baseline_of_run(whole.rows, whole.info, name="shipped", card="go1-parkour")
+    )
     forged(other_ways)
     straight = against("straight", in_process=False, workers=2)
     assert len(straight.rows) > 16
@@ -619,13 +627,13 @@ def test_ctrl_c_while_more_of_the_control_runs_stops_both_and_both_go_on():
 
 
 @pytest.mark.parametrize("same_bits", [True, False])
-def test_on_a_class_of_machine_that_the_bank_has_not_seen_its_own_policy_runs_and_is_not_invalid(
+def test_on_a_machine_type_that_the_baseline_has_not_seen_its_own_policy_runs_and_is_not_invalid(
     same_bits,
 ):
-    def change(bank):
-        starts = tuple(replace(start, trajectory="0" * 16) for start in bank.panels[0].starts)
-        panel = bank.panels[0] if same_bits else replace(bank.panels[0], starts=starts)
-        return elsewhere(replace(bank, panels=(panel,)))
+    def change(baseline):
+        starts = tuple(replace(start, trajectory="0" * 16) for start in baseline.panels[0].starts)
+        panel = baseline.panels[0] if same_bits else replace(baseline.panels[0], starts=starts)
+        return elsewhere(replace(baseline, panels=(panel,)))
 
     forged(change)
     judged = against(policy=None)
@@ -633,7 +641,7 @@ def test_on_a_class_of_machine_that_the_bank_has_not_seen_its_own_policy_runs_an
     found = judged.verdict.against.again
     assert (found.equal, found.taken_over) == (same_bits, same_bits)
     assert judged.verdict.n == (8 if same_bits else len(judged.rows))
-    assert not Path("run/baseline").exists(), "its own trials show what the bank is here"
+    assert not Path("run/baseline").exists(), "its own trials show what the baseline is here"
     if not same_bits:
         told = headline(judged.verdict, judged.info)
         assert "same policy as baseline shipped, but this machine or version computes" in told
@@ -643,11 +651,11 @@ def test_on_a_class_of_machine_that_the_bank_has_not_seen_its_own_policy_runs_an
 
 def test_a_small_baseline_is_no_measure_of_a_machine_with_other_bits_and_the_run_is_invalid():
     Path("quick.yaml").write_text(SUITE.replace(" least_starts: 1,", ""))
-    forged(lambda bank: elsewhere(other_ways(bank)))
+    forged(lambda baseline: elsewhere(other_ways(baseline)))
     judged = against(policy=None)
     assert (judged.verdict.verdict, judged.verdict.exit_code) == ("INVALID", 5)
     assert (
-        "has 4 starts in each scene; a claim about new starts needs 30"
+        "has 4 initial states in each scene; a claim about new initial states needs 30"
         in (judged.verdict.reasons[0])
     )
     assert len(judged.rows) == 2, "no further trial would help"
@@ -658,13 +666,13 @@ def test_a_small_baseline_is_no_measure_of_a_machine_with_other_bits_and_the_run
 
 
 def test_the_same_bits_with_other_results_make_the_run_invalid(capsys):
-    def better(bank):
+    def better(baseline):
         best = {"success": 1.0, "completed": True, "outcome": "completed"}
         starts = tuple(
             replace(start, **best, waypoints_reached=start.waypoints_total)
-            for start in bank.panels[0].starts
+            for start in baseline.panels[0].starts
         )
-        return elsewhere(replace(bank, panels=(replace(bank.panels[0], starts=starts),)))
+        return elsewhere(replace(baseline, panels=(replace(baseline.panels[0], starts=starts),)))
 
     forged(better)
     words = "run quick.yaml --policy ./soft --baseline shipped --out run"
@@ -678,10 +686,10 @@ def test_the_same_bits_with_other_results_make_the_run_invalid(capsys):
     assert api.report("run").exit_code == 5
 
 
-def test_a_bank_whose_policy_is_not_here_says_where_to_name_it():
-    def lost(bank):
-        policy = bank.manifest.policy.model_copy(update={"card": "./gone"})
-        moved = replace(bank, manifest=bank.manifest.model_copy(update={"policy": policy}))
+def test_a_baseline_whose_policy_is_not_here_says_where_to_name_it():
+    def lost(baseline):
+        policy = baseline.manifest.policy.model_copy(update={"card": "./gone"})
+        moved = replace(baseline, manifest=baseline.manifest.model_copy(update={"policy": policy}))
         return elsewhere(moved)
 
     forged(lost)
@@ -692,10 +700,10 @@ def test_a_bank_whose_policy_is_not_here_says_where_to_name_it():
 
 
 @pytest.mark.nightly
-def test_an_object_is_compared_with_a_bank_as_a_policy_by_name_is():
+def test_an_object_is_compared_with_a_baseline_as_a_policy_by_name_is():
     Path("quick.yaml").write_text(SUITE.replace("max_drop: 0.5", "max_drop: 0.5, false_alarm: 0.2"))
     judged = api.evaluate(lambda _: np.zeros(12), suite="quick.yaml", card=LIMP, baseline="shipped")
-    assert (judged.verdict.verdict, judged.bank.name) == ("REGRESSED", "shipped")
+    assert (judged.verdict.verdict, judged.baseline.name) == ("REGRESSED", "shipped")
     assert judged.verdict.against.word == "REGRESSED"
     assert len(judged.rows) < 8
     forged(elsewhere)
@@ -704,15 +712,15 @@ def test_an_object_is_compared_with_a_bank_as_a_policy_by_name_is():
 
 
 @pytest.mark.nightly
-def test_each_cell_of_what_is_perturbed_is_compared_with_the_same_one_of_the_bank():
+def test_each_cell_of_what_is_perturbed_is_compared_with_the_same_one_of_the_baseline():
     text = SUITE.replace(", hurdles/two_logs_park", "").replace("trials: 4", "trials: 2")
     text = text.replace("max_drop: 0.5", "max_drop: 0.2").replace(
         "record: none", "record: none\nperturb: {friction: [0.25, 1.0]}"
     )
     Path("slippery.yaml").write_text(text.replace("quick", "slippery"))
     whole = api.run("slippery.yaml", baseline="none", in_process=True)
-    bank = bank_of_run(whole.rows, whole.info, name="shipped", card="go1-parkour")
-    write_bank(Path("slippery.parquet").with_stem("shipped"), bank)
+    baseline = baseline_of_run(whole.rows, whole.info, name="shipped", card="go1-parkour")
+    write_baseline(Path("slippery.parquet").with_stem("shipped"), baseline)
     judged = api.run(
         "slippery.yaml",
         policy="./soft",
@@ -735,19 +743,19 @@ def test_each_cell_of_what_is_perturbed_is_compared_with_the_same_one_of_the_ban
 
 
 def parts_of(number, **changes):
-    """Run so many parts of two trials of each scene, on average, against the bank."""
+    """Run so many parts of two trials of each scene, on average, against the baseline."""
     words = [f"{index}/{number}" for index in range(1, number + 1)]
     return [against(f"part-{word[0]}", shard=word, trials=2, **changes) for word in words]
 
 
 @pytest.mark.nightly
-def test_parts_run_all_trials_and_are_judged_against_their_bank_once_they_are_merged(project):
+def test_parts_run_all_trials_and_are_judged_against_their_baseline_once_they_are_merged(project):
     ears = Ears()
     parts = parts_of(2, ears=ears)
     assert [(part.verdict.verdict, len(part.rows)) for part in parts] == [("RAN", 2), ("RAN", 2)]
     assert not [line for line in ears.lines if "enough" in line]
     assert "part 2 of 2: 2 trials; `nw-eval merge` judges the whole run" in ears.lines
-    BANK.unlink()  # Every part has a copy, and so has the merged run.
+    BASELINE.unlink()  # Every part has a copy, and so has the merged run.
     merged = api.merge(["part-2", "part-1"], out="merged")
     plain = {row.trial_id: row for row in read_journal(project / "plain" / "journal.jsonl").rows}
     assert [row.digest for row in merged.rows] == [plain[r.trial_id].digest for r in merged.rows]
@@ -766,7 +774,7 @@ def test_parts_of_the_baselines_own_policy_run_and_are_compared_with_it_once_the
     assert "4 trials re-run and identical" in headline(merged.verdict, merged.info)
 
 
-def test_a_part_sees_for_itself_what_the_bank_is_on_its_machine():
+def test_a_part_sees_for_itself_what_the_baseline_is_on_its_machine():
     forged(elsewhere)
     parts = parts_of(2)
     for part in parts:
@@ -801,8 +809,10 @@ def test_parts_with_a_control_merge_to_the_rows_and_the_verdict_of_the_run_and_o
     if starts > 4:  # More than all parts look at first.
         Path("quick.yaml").write_text(SUITE.replace("trials: 4", f"trials: {starts}"))
         more = api.run("quick.yaml", baseline="none", workers=2, out=Path("more"))
-        BANK.unlink()
-        write_bank(BANK, bank_of_run(more.rows, more.info, name="shipped", card="go1-parkour"))
+        BASELINE.unlink()
+        write_baseline(
+            BASELINE, baseline_of_run(more.rows, more.info, name="shipped", card="go1-parkour")
+        )
     forged(other_ways)
     changes = {"trials": starts, "in_process": False}
     whole = against("whole-run", all_rounds=True, workers=2, **changes)
@@ -818,7 +828,7 @@ def test_parts_with_a_control_merge_to_the_rows_and_the_verdict_of_the_run_and_o
         # All parts ask the same trials whether bits are others; the rest is its own.
         assert set(bits_of(part.folder / "baseline")) == {*order[:16], *order[index::3]}
         assert set(order[index::3]) == {row.trial_id for row in part.rows}
-    BANK.unlink()  # Every part has a copy, and so has the merged run.
+    BASELINE.unlink()  # Every part has a copy, and so has the merged run.
     merged = api.merge([parts[2].folder, parts[0].folder, parts[1].folder], out="merged")
     assert rows_digest(merged.rows) == rows_digest(whole.rows)
     assert bits_of("merged/baseline") == bits_of("whole-run/baseline")
@@ -826,7 +836,7 @@ def test_parts_with_a_control_merge_to_the_rows_and_the_verdict_of_the_run_and_o
     found = merged.verdict.against
     assert (found.basis, found.control, len(merged.rows)) == ("control", 2 * starts, 2 * starts)
     # It is a run like any other, and so is the run beside it.
-    shutil.copy("merged/bank/shipped.parquet", BANK)
+    shutil.copy("merged/bank/shipped.parquet", BASELINE)
     for name in ("merged", "whole-run"):
         assert api.judge(name).verdict == whole.verdict
         assert api.judge(name, baseline="shipped").verdict == whole.verdict
@@ -837,10 +847,10 @@ def test_parts_with_a_control_merge_to_the_rows_and_the_verdict_of_the_run_and_o
 
 
 def test_parts_of_machines_with_different_bits_and_parts_without_their_control_are_refused():
-    kept = BANK.read_bytes()
+    kept = BASELINE.read_bytes()
     forged(elsewhere)
     alike = against("alike", shard="1/2", trials=2)
-    BANK.write_bytes(kept)
+    BASELINE.write_bytes(kept)
     forged(other_ways)
     cut = against("cut", ears=Ears(trials=1), shard="1/2", trials=2)
     assert (cut.interrupted, cut.info.baseline.checked) == (True, "control")

@@ -1,4 +1,4 @@
-"""From a run's rows to a bank: only of a run that is whole."""
+"""From a run's rows to a baseline: only of a run that is whole."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from nw_base.errors import IncomparableError, TrialError
-from nw_gate.results.bank import trajectory
-from nw_gate.results.bank_file import bank_of_run, read_bank, with_panel, write_bank
+from nw_gate.results.baseline import trajectory
+from nw_gate.results.baseline_file import baseline_of_run, read_baseline, with_panel, write_baseline
 from nw_gate.results.provenance import PolicyInfo, RunInfo, SceneInfo, code_info, machine_info
 
 ENGINE = {
@@ -55,56 +55,56 @@ def rows(make_row):
     ]
 
 
-def test_a_whole_run_is_a_bank_that_a_file_can_keep(tmp_path, run, rows):
-    bank = bank_of_run(rows[::-1], run, name="p", card="p", by="anna", note="  why\nit is ")
-    (panel,) = bank.panels
+def test_a_whole_run_is_a_baseline_that_a_file_can_keep(tmp_path, run, rows):
+    baseline = baseline_of_run(rows[::-1], run, name="p", card="p", by="anna", note="  why\nit is ")
+    (panel,) = baseline.panels
     assert [(s.scene, s.perturbation, s.seed_index) for s in panel.starts] == sorted(
         (row.scene, row.perturbation, row.seed_index) for row in rows
     )
     assert {start.trajectory for start in panel.starts} == {trajectory(row) for row in rows}
     assert len(panel.starts[0].trajectory) == 16
-    assert bank.manifest.starts == 3
-    assert bank.manifest.note == "why it is"
-    assert bank.manifest.key.simulator == {
+    assert baseline.manifest.starts == 3
+    assert baseline.manifest.note == "why it is"
+    assert baseline.manifest.key.simulator == {
         "mujoco": "4.0.0",
         "rays": "nw-eval rays 1",
         "renderer": "cpu",
     }
     assert panel.machine == {"cpu": "znver4", "torch": "2.6"}
-    assert bank.manifest.panels[0].saved == run.finished
-    write_bank(tmp_path / "p.parquet", bank)
-    assert read_bank(tmp_path / "p.parquet") == bank
+    assert baseline.manifest.panels[0].saved == run.finished
+    write_baseline(tmp_path / "p.parquet", baseline)
+    assert read_baseline(tmp_path / "p.parquet") == baseline
 
 
-def test_a_run_with_an_error_or_a_hole_is_no_bank(run, rows, make_row):
+def test_a_run_with_an_error_or_a_hole_is_no_baseline(run, rows, make_row):
     with pytest.raises(TrialError, match="run r1 has 11 of its 12 trials; finish it"):
-        bank_of_run(rows[1:], run, name="p")
+        baseline_of_run(rows[1:], run, name="p")
     error = {"status": "error", "outcome": "hung", "success": None}
     broken = make_row(trial_id="t", error_text="no answer", **error)
-    with pytest.raises(TrialError, match="1 of 12 trials of run r1 came to no result, first t: no"):
-        bank_of_run([broken, *rows[1:]], run, name="p")
+    with pytest.raises(TrialError, match="1 of 12 trials of run r1 have no result, first t: no"):
+        baseline_of_run([broken, *rows[1:]], run, name="p")
 
 
-def test_a_run_whose_starts_were_drawn_is_no_bank(run, rows):
+def test_a_run_whose_starts_were_drawn_is_no_baseline(run, rows):
     drawn = [replace(row, seed_index=2 * row.seed_index) for row in rows]
     with pytest.raises(
         IncomparableError, match=r"run r1 makes no baseline: .*start 4 is not between"
     ):
-        bank_of_run(drawn, run, name="p")
+        baseline_of_run(drawn, run, name="p")
 
 
-def test_a_run_on_fresh_starts_is_no_bank(run, rows):
+def test_a_run_on_fresh_starts_is_no_baseline(run, rows):
     fresh = run.model_copy(update={"panel": "fresh"})
     with pytest.raises(
-        IncomparableError, match="r1 makes no baseline: it met fresh starts of its own"
+        IncomparableError, match="r1 makes no baseline: it met fresh initial states of its own"
     ):
-        bank_of_run(rows, fresh, name="p")
+        baseline_of_run(rows, fresh, name="p")
 
 
 def test_a_panel_of_another_class_of_machine_comes_beside_the_first(run, rows):
-    bank = bank_of_run(rows, run, name="p", note="first")
+    baseline = baseline_of_run(rows, run, name="p", note="first")
     elsewhere = run.model_copy(update={"engine": {**ENGINE, "cpu": "haswell"}})
-    both = with_panel(bank, bank_of_run(rows, elsewhere, name="p", note="second"))
+    both = with_panel(baseline, baseline_of_run(rows, elsewhere, name="p", note="second"))
     assert [panel.machine["cpu"] for panel in both.panels] == ["znver4", "haswell"]
     assert [info.machine["cpu"] for info in both.manifest.panels] == ["znver4", "haswell"]
     assert both.manifest.note == "first"

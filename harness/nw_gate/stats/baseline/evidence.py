@@ -60,7 +60,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_gate.stats.bank.baseline_bets import BaselineBets
+from nw_gate.stats.baseline.baseline_bets import BaselineBets
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
@@ -68,8 +68,8 @@ Truths = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bank:
-    """What must be known of the whole seed set before the first trial.
+class Reference:
+    """What a candidate is compared with: a baseline's means, or a concurrent control.
 
     Raises:
         ValueError: a mean is not between 0 and 1, there is no scene, or not one start.
@@ -94,21 +94,21 @@ class Bank:
             raise ValueError(f"{self.starts} starts in each scene; a baseline needs one at least")
 
     @classmethod
-    def of(cls, scores: Floats) -> Bank:
+    def of(cls, scores: Floats) -> Reference:
         """Return the known baseline of successes b_si on the whole seed set, shape (S, M)."""
         check_successes(scores)
         return cls(means=scores.mean(axis=-1), starts=scores.shape[-1])
 
     @classmethod
-    def control(cls, scenes: int) -> Bank:
+    def control(cls, scenes: int) -> Reference:
         """Return the stand-in for the baseline of a concurrent control of S scenes: no mean."""
         return cls(means=np.ones(scenes), paired=True)
 
-    def fresh(self) -> Bank:
+    def fresh(self) -> Reference:
         """Return the baseline for a claim about fresh starts: M is infinite."""
         return replace(self, starts=inf)
 
-    def only(self, which: Places) -> Bank:
+    def only(self, which: Places) -> Reference:
         """Return the baselines of some gates, by position along the first axis of the means."""
         bets = None if self.bets is None else self.bets.only(which)
         return replace(self, means=self.means[which], bets=bets)
@@ -225,41 +225,53 @@ class Margins:
             raise ValueError(f"drop {self.scene_drop} of a scene is not within 0 to 1")
 
 
-def nulls_at_least(bank: Bank, drop: Floats | float) -> list[Floats]:
+def nulls_at_least(reference: Reference, drop: Floats | float) -> list[Floats]:
     """Return n of "the drop is at least this" for each beta, and for each account of the bets.
 
     Args:
-        bank: of the baseline.
+        reference: the baseline to compare with.
         drop: shape (); or, of one baseline without leading axes, any shape: so many nulls apart.
     """
-    mean = bank.mean[..., 0] - drop
-    own = [mean - bank.least(beta)[..., 0] for beta in bank.betas]
-    return own if bank.bets is None else [*own, *(bank.bets.null(x, mean) for x in bank.bets.above)]
+    mean = reference.mean[..., 0] - drop
+    own = [mean - reference.least(beta)[..., 0] for beta in reference.betas]
+    return (
+        own
+        if reference.bets is None
+        else [*own, *(reference.bets.null(x, mean) for x in reference.bets.above)]
+    )
 
 
-def nulls_at_most(bank: Bank, drop: Floats | float) -> list[Floats]:
+def nulls_at_most(reference: Reference, drop: Floats | float) -> list[Floats]:
     """Return n of "the drop is at most this" as `nulls_at_least` does."""
-    mean = bank.mean[..., 0] - drop
-    own = [bank.most(beta)[..., 0] - mean for beta in bank.betas]
-    if bank.bets is None:
+    mean = reference.mean[..., 0] - drop
+    own = [reference.most(beta)[..., 0] - mean for beta in reference.betas]
+    if reference.bets is None:
         return own
-    return [*own, *(bank.bets.null(each, 1.0 - mean) for each in bank.bets.below)]
+    return [*own, *(reference.bets.null(each, 1.0 - mean) for each in reference.bets.below)]
 
 
-def capital(bank: Bank, values: Sequence[Floats], nulls: Sequence[Floats], bets: Bets) -> Floats:
+def capital(
+    reference: Reference, values: Sequence[Floats], nulls: Sequence[Floats], bets: Bets
+) -> Floats:
     """Return E against one null on the mean after each trial, shape (..., T).
 
     Args:
-        bank: of the baseline.
+        reference: the baseline to compare with.
         values: y of the trials for each beta and each account, shape (..., T).
         nulls: n of each; of one baseline any shape, which E has then, with an axis T.
         bets: what is bet on those of each beta: `UP` or `DOWN`.
     """
-    own = len(bank.betas)
-    accounts = () if bank.bets is None else bank.bets.above if bets is UP else bank.bets.below
+    own = len(reference.betas)
+    accounts = (
+        ()
+        if reference.bets is None
+        else reference.bets.above
+        if bets is UP
+        else reference.bets.below
+    )
     left = 1.0 - sum(account.weight for account in accounts)
     weights = [*[left / own] * own, *(account.weight for account in accounts)]
-    pairs = bank.starts * bank.means.shape[-1]
+    pairs = reference.starts * reference.means.shape[-1]
     total = np.zeros(())
     for index, (weight, y, null) in enumerate(zip(weights, values, nulls, strict=True)):
         shape = np.broadcast_shapes(y.shape, (*null.shape, 1))
@@ -268,15 +280,15 @@ def capital(bank: Bank, values: Sequence[Floats], nulls: Sequence[Floats], bets:
     return total
 
 
-def scene_nulls(bank: Bank, margins: Margins) -> Floats:
+def scene_nulls(reference: Reference, margins: Margins) -> Floats:
     """Return n of each scene alone, shape (S,): 1 less the least mean of c that its null allows."""
     return (
         1.0
-        - ((0.0 if bank.paired else bank.means) - margins.scene_drop)
-        + np.zeros_like(bank.means)
+        - ((0.0 if reference.paired else reference.means) - margins.scene_drop)
+        + np.zeros_like(reference.means)
     )
 
 
-def scene_losses(bank: Bank, candidate: Floats, baseline: Floats) -> Floats:
+def scene_losses(reference: Reference, candidate: Floats, baseline: Floats) -> Floats:
     """Return y = 1 - c, or 1 - (c - b) beside a control: what a scene's evidence is won by."""
-    return 1.0 - (candidate - baseline if bank.paired else candidate)
+    return 1.0 - (candidate - baseline if reference.paired else candidate)

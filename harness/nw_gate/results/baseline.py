@@ -1,11 +1,10 @@
 """Baselines: what a baseline scored from every start of a seed set, kept in git beside the suite.
 
-A baseline is one file, `reports/baselines/<suite>/<name>.parquet` (`bank_file`): the results of S
-scenes by M starts without wall times, once for each class of machine that they were run on, and a
+A baseline is one file, `reports/baselines/<suite>/<name>.parquet` (`baseline_file`): the results of
+S scenes by M starts without wall times, once for each class of machine that they were run on, and a
 manifest: who made it, when, why, and what must match for it to hold.
 
-What differs between two of them (`bank_change`) is what they hold for, and what happened from their
-starts.
+`baseline_change` compares two baselines: what they hold for, and what happened from their starts.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
-class BankKey(_Part):
+class BaselineKey(_Part):
     """What a baseline holds for, and nothing else: each field is named where it does not match."""
 
     suite_digest: str
@@ -48,7 +47,7 @@ class BankKey(_Part):
     """Package, version and code of each score that a package brings along: `scores.NAME`."""
 
 
-class BankPolicy(_Part):
+class BaselinePolicy(_Part):
     """The baseline's policy."""
 
     name: str
@@ -91,8 +90,8 @@ class Manifest(_Part):
     """Why it was made."""
     starts: int = Field(ge=1)
     """M: starts in each scene and perturbation."""
-    key: BankKey
-    policy: BankPolicy
+    key: BaselineKey
+    policy: BaselinePolicy
     panels: tuple[PanelInfo, ...] = Field(min_length=1)
     scores: tuple[str, ...] = ()
     """Names of the scores that its trials were measured by."""
@@ -101,9 +100,9 @@ class Manifest(_Part):
     run on the suite's seed set met other starts, and is compared as one that met fresh ones."""
 
 
-def key_of(run: RunInfo) -> BankKey:
+def key_of(run: RunInfo) -> BaselineKey:
     """Return what a baseline must have to be compared with a run."""
-    return BankKey(
+    return BaselineKey(
         suite_digest=run.suite_digest,
         seed=int(run.suite.get("seed", 0)),
         protocol=str(run.suite.get("protocol", "")),
@@ -212,11 +211,11 @@ class ControlArm:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Against:
+class LoadedBaseline:
     """The baseline that a run is compared with."""
 
     info: BaselineInfo
-    bank: BaselineResults
+    results: BaselineResults
     content: bytes
     """Of its file, of which the run's folder gets a copy."""
     control: ControlArm | None = None
@@ -231,7 +230,7 @@ class Against:
             rows: of the candidate, from starts of the baseline's panel.
             run: its run.json.
         """
-        panel = self.bank.panel_of(machine_of(run)) or self.bank.panels[0]
+        panel = self.results.panel_of(machine_of(run)) or self.results.panels[0]
         known: dict[tuple[Stratum, int], Row | Start] = {
             (start.stratum, start.seed_index): start for start in panel.starts
         }
@@ -242,7 +241,7 @@ class Against:
         }
         return {trial: rival for trial, rival in found.items() if rival is not None}
 
-    def of_run(self, info: BaselineInfo) -> Against:
+    def of_run(self, info: BaselineInfo) -> LoadedBaseline:
         """Return the baseline as a run knows it, that was begun with it somewhere else."""
         return replace(self, info=info.model_copy(update={"checked": None, "moved": ()}))
 
@@ -291,7 +290,7 @@ class BaselineChange:
     """What must match and does not, the number of starts included."""
     machine: tuple[FieldChange, ...]
     """In what the class of machine differs between the two sets of results that are compared:
-    none, where there is one that both banks have."""
+    none, where there is one that both baselines have."""
     scenes: tuple[SceneChange, ...]
 
     @property
@@ -300,7 +299,7 @@ class BaselineChange:
         return frozenset(field.part for field in self.fields)
 
 
-def bank_change(then: BaselineResults, now: BaselineResults) -> BaselineChange:
+def baseline_change(then: BaselineResults, now: BaselineResults) -> BaselineChange:
     """Compare two baselines on a class of machine that both have, or on their first ones."""
     before, after = _panels(then, now)
     strata = sorted({*before.by_stratum, *after.by_stratum})
@@ -317,7 +316,7 @@ def bank_change(then: BaselineResults, now: BaselineResults) -> BaselineChange:
     )
 
 
-def key_changes(then: BankKey, now: BankKey) -> tuple[FieldChange, ...]:
+def key_changes(then: BaselineKey, now: BaselineKey) -> tuple[FieldChange, ...]:
     """Return what differs between two keys: suite, scenes, simulator, scores, in this order."""
     suite = [
         ("seed", str(then.seed), str(now.seed)),
@@ -338,7 +337,7 @@ def key_changes(then: BankKey, now: BankKey) -> tuple[FieldChange, ...]:
     )
 
 
-def policy_changes(then: BankPolicy, now: BankPolicy) -> tuple[FieldChange, ...]:
+def policy_changes(then: BaselinePolicy, now: BaselinePolicy) -> tuple[FieldChange, ...]:
     """Return what differs between two policies: the digests of checkpoint and card."""
     pairs = {
         "checkpoint": (then.checkpoint_digest[:16], now.checkpoint_digest[:16]),
@@ -361,9 +360,9 @@ def mean_of(starts: Sequence[Start]) -> float:
     return fmean(score(start) or 0.0 for start in starts)
 
 
-def bank_mean(bank: BaselineResults) -> float:
+def baseline_mean(baseline: BaselineResults) -> float:
     """Return B: the mean over scenes and cells of the means over starts, on the first machine."""
-    return fmean(mean_of(starts) for starts in bank.panels[0].by_stratum.values())
+    return fmean(mean_of(starts) for starts in baseline.panels[0].by_stratum.values())
 
 
 def _panels(then: BaselineResults, now: BaselineResults) -> tuple[Panel, Panel]:
@@ -390,8 +389,8 @@ def _scene_change(scene: str, cell: Settings, before: Panel, after: Panel) -> Sc
     )
 
 
-def _starts(bank: BaselineResults) -> Mapping[str, str]:
-    return {"starts": str(bank.manifest.starts)}
+def _starts(baseline: BaselineResults) -> Mapping[str, str]:
+    return {"starts": str(baseline.manifest.starts)}
 
 
 def _differences(

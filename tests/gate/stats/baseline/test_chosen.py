@@ -7,9 +7,9 @@ import pytest
 from gate_cells import HURDLES, scores_of
 
 from nw_eval.api.watching import STARTS, STARTS_OF_FEW
-from nw_gate.stats.bank.baseline_bets import make_bets
-from nw_gate.stats.bank.evidence import Bank
-from nw_gate.stats.bank.trials import DrawnTrials, TrialRules, settle_all
+from nw_gate.stats.baseline.baseline_bets import make_bets
+from nw_gate.stats.baseline.evidence import Reference
+from nw_gate.stats.baseline.trials import DrawnTrials, TrialRules, settle_all
 
 EQUAL = 50
 """Checkpoints of a training, none better than another."""
@@ -52,8 +52,10 @@ def flagged(
                 baseline=np.take_along_axis(known.mean(axis=-1), met, -1),
             )
             bets = make_bets(known, waypoints, max_drop=0.1, tolerate=0.02, by_start=False)
-            bank = Bank(means=known.mean(axis=-1), starts=starts or trials, bets=bets).fresh()
-            wrong += sum(each.word == "REGRESSED" for each in settle_all(bank, seen, rules))
+            reference = Reference(
+                means=known.mean(axis=-1), starts=starts or trials, bets=bets
+            ).fresh()
+            wrong += sum(each.word == "REGRESSED" for each in settle_all(reference, seen, rules))
         is_best = run.mean(axis=(1, 2)) > shown
         own = run if starts is None else drawn(starts)
         known = np.where(is_best[:, None, None], own, known)

@@ -9,20 +9,20 @@ import pytest
 
 from nw_eval.api.baselines_saved import starts_for
 from nw_gate.settings import Gate
-from nw_gate.stats.bank.baseline_bets import make_bets
-from nw_gate.stats.bank.evidence import Bank
-from nw_gate.stats.bank.trials import DrawnTrials, TrialRules, settle_all
+from nw_gate.stats.baseline.baseline_bets import make_bets
+from nw_gate.stats.baseline.evidence import Reference
+from nw_gate.stats.baseline.trials import DrawnTrials, TrialRules, settle_all
 
 GATES = 2000
 
 
 @cache
-def baselines(scenes: int, starts: int) -> tuple[np.ndarray, Bank]:
+def baselines(scenes: int, starts: int) -> tuple[np.ndarray, Reference]:
     """Return what each baseline scored, shape (GATES, S, M), and what a gate knows of it."""
     known = np.random.default_rng(3).random((GATES, scenes, starts)) < 0.9
     known = known.astype(float)
     bets = make_bets(known, np.ones(scenes, dtype=np.intp), max_drop=0.1, tolerate=0.02)
-    return known, Bank(means=known.mean(axis=-1), starts=starts, bets=bets).fresh()
+    return known, Reference(means=known.mean(axis=-1), starts=starts, bets=bets).fresh()
 
 
 def words(scenes: int, drop: float, *, starts: int, rounds: int) -> list[str]:
@@ -30,7 +30,7 @@ def words(scenes: int, drop: float, *, starts: int, rounds: int) -> list[str]:
 
     The baseline completes .9 of its trials; each gate has a baseline of its own.
     """
-    known, bank = baselines(scenes, starts)
+    known, reference = baselines(scenes, starts)
     rng = np.random.default_rng(4)
     order = np.argsort(rng.random((GATES, scenes * starts)), axis=-1)[:, : rounds * scenes]
     trials = DrawnTrials(
@@ -39,7 +39,7 @@ def words(scenes: int, drop: float, *, starts: int, rounds: int) -> list[str]:
         baseline=np.take_along_axis(known.reshape(GATES, -1), order, axis=-1),
     )
     rules = TrialRules(tiers=("supporting",) * scenes)
-    return [decision.word for decision in settle_all(bank, trials, rules)]
+    return [decision.word for decision in settle_all(reference, trials, rules)]
 
 
 def most(nominal: float) -> float:

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from nw_gate.results.bank import (
-    BankKey,
-    BankPolicy,
+from nw_gate.results.baseline import (
+    BaselineKey,
+    BaselinePolicy,
     BaselineResults,
     Manifest,
     Panel,
@@ -16,12 +16,12 @@ LAPTOP, RUNNER = {"cpu": "znver4 1f0c77a2"}, {"cpu": "haswell 00112233"}
 
 
 @pytest.fixture
-def make_bank():
-    """A bank of scenes by starts, of which every fourth fell, on one or two classes of machine."""
-    return _bank
+def make_baseline():
+    """A baseline of scenes by starts, every fourth with a fall, on one or two machine types."""
+    return _baseline
 
 
-def _bank(
+def _baseline(
     *,
     scenes: int = 2,
     starts: int = 4,
@@ -54,14 +54,16 @@ def _bank(
         suite="hurdles",
         note=note,
         starts=starts,
-        key=BankKey(
+        key=BaselineKey(
             suite_digest="aa" * 32,
             seed=20261,
             protocol="strict",
             scenes={name: f"{number:064x}" for number, name in enumerate(names)},
             simulator={"mujoco": "4.0.0", "renderer": "cpu gsplat-1.5"},
         ),
-        policy=BankPolicy(name="go1-parkour", card_digest="bb" * 32, checkpoint_digest="cc" * 32),
+        policy=BaselinePolicy(
+            name="go1-parkour", card_digest="bb" * 32, checkpoint_digest="cc" * 32
+        ),
         panels=tuple(
             PanelInfo(
                 machine=machine, saved="2026-11-22T10:00:00+00:00", by="anna", rows_digest="dd" * 32

@@ -1,6 +1,6 @@
-"""After which trial a run against a bank may end, and what comes next: bar and baseline together.
+"""After which trial a run against a baseline may end, and which come next, by bar and baseline.
 
-Plans and banks are real, of a shipped suite; rows say what the candidate scored.
+Plans and baselines are real, of a shipped suite; rows say what the candidate scored.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 
 from nw_eval import api
-from nw_eval.api.contest import Contest
+from nw_eval.api.baseline_comparison import BaselineComparison
 from nw_eval.engine.how import How
 from nw_eval.engine.machine import Interrupts
 from nw_eval.engine.provenance import run_info
 from nw_gate.absolute import word_of_bar
 from nw_gate.baseline.combine import judge_run
 from nw_gate.baseline.judge import compare
-from nw_gate.results.bank_file import write_bank
+from nw_gate.results.baseline_file import write_baseline
 from nw_gate.results.provenance import StopInfo
 from nw_gate.results.run_folder import RunFolder
 
@@ -55,7 +55,7 @@ def suite_with(gate: str) -> str:
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    """A plan without a bank, and its run.json: what a bank must hold for."""
+    """A plan without a baseline, and its run.json: what a baseline must hold for."""
     folder = tmp_path_factory.mktemp("plain")
     (folder / "quick.yaml").write_text(suite_with("success_rate: 0.5"))
     plan = api.plan(folder / "quick.yaml", policy="stand", baseline="none")
@@ -68,7 +68,7 @@ def info_of(plan: Plan) -> RunInfo:
 
 
 class Course:
-    """A contest of a candidate, and what it scores in each trial of its order."""
+    """A comparison of a candidate, and what it scores in each trial of its order."""
 
     def __init__(self, plan: Plan, drawn_rows: Make, scores: Any) -> None:
         self.plan, self.run = plan, info_of(plan)
@@ -77,18 +77,18 @@ class Course:
         self.against = plan.against
         self.gate = plan.suite.gate
 
-    def contest(self, *, all_rounds: bool = False) -> Contest:
+    def comparison(self, *, all_rounds: bool = False) -> BaselineComparison:
         how = How(workers=2, cache=False, all_rounds=all_rounds)
-        contest = Contest(self.plan, self.against, how)
-        contest.begin(SimpleNamespace(info=self.run), Interrupts())
-        return contest
+        comparison = BaselineComparison(self.plan, self.against, how)
+        comparison.begin(SimpleNamespace(info=self.run), Interrupts())
+        return comparison
 
     def by_one(self) -> RunStanding:
         """Return what one worker ends with, that runs what comes next."""
-        contest = self.contest()
+        comparison = self.comparison()
         ended: dict[int, Row] = {}
-        while (now := contest.next(ended)).ahead:
-            ended[now.ahead[0]] = self.rows[now.ahead[0]]
+        while (now := comparison.next(ended)).pending:
+            ended[now.pending[0]] = self.rows[now.pending[0]]
         assert set(ended) == {*range(now.first), *now.followed}, "and nothing more"
         return now
 
@@ -104,21 +104,21 @@ class Course:
 
 
 @pytest.fixture
-def course(plain, make_bank, drawn_rows, tmp_path):
-    """The contest of a candidate with a gate, against a bank of one score in all scenes."""
+def course(plain, make_baseline, drawn_rows, tmp_path):
+    """The comparison of a candidate with a gate, against a baseline of one score in all scenes."""
 
     @cache
-    def planned(gate: str, bank: float) -> Plan:
+    def planned(gate: str, baseline: float) -> Plan:
         _, info = plain
-        saved = make_bank(info, {(name, CELL): [bank] * 30 for name in SCENES})
+        saved = make_baseline(info, {(name, CELL): [baseline] * 30 for name in SCENES})
         path = tmp_path / "shipped.parquet"
         path.unlink(missing_ok=True)
-        write_bank(path, saved)
+        write_baseline(path, saved)
         (tmp_path / "quick.yaml").write_text(suite_with(gate))
         return api.plan(tmp_path / "quick.yaml", policy="stand", baseline=str(path))
 
-    def make(gate: str, scores: Mapping[str, Any], bank: float = 1.0) -> Course:
-        return Course(planned(gate, bank), drawn_rows, scores)
+    def make(gate: str, scores: Mapping[str, Any], baseline: float = 1.0) -> Course:
+        return Course(planned(gate, baseline), drawn_rows, scores)
 
     return make
 
@@ -152,7 +152,7 @@ def baseline_alone(course: Course) -> int:
 
 
 def test_the_bar_convicts_before_the_baseline_is_decided(course):
-    met = course("success_rate: 0.9, max_drop: 0.2", dict.fromkeys(SCENES, 0.5), bank=0.75)
+    met = course("success_rate: 0.9, max_drop: 0.2", dict.fromkeys(SCENES, 0.5), baseline=0.75)
     now = met.by_one()
     assert (now.first, now.followed) == (bar_alone(met), ())
     rows, run = met.stopped(now)
@@ -290,10 +290,10 @@ def test_a_scene_that_holds_back_a_pass_and_has_no_more_trials_leaves_it_open_an
 
 def test_where_all_rounds_are_wanted_every_trial_comes_next(course):
     met = course("max_drop: 0.3", PERFECT)
-    contest = met.contest(all_rounds=True)
+    comparison = met.comparison(all_rounds=True)
     ended = dict(enumerate(met.rows[:50]))
-    assert contest.next(ended).ahead == tuple(range(50, 60))
-    assert contest.next(dict(enumerate(met.rows))).ahead == ()
+    assert comparison.next(ended).pending == tuple(range(50, 60))
+    assert comparison.next(dict(enumerate(met.rows))).pending == ()
 
 
 def test_an_informational_scene_that_has_not_ended_is_run_and_holds_no_ruling_back(course):
@@ -303,9 +303,9 @@ def test_an_informational_scene_that_has_not_ended_is_run_and_holds_no_ruling_ba
     among = [row.scene for row in met.rows[: now.first]]
     assert SCENES[0] in among, "it has its part of the order"
     lacking = {x: row for x, row in enumerate(met.rows[: now.first]) if row.scene != SCENES[0]}
-    later = met.contest().next(lacking)
+    later = met.comparison().next(lacking)
     assert later.first == now.first
-    assert later.ahead == tuple(x for x in range(now.first) if x not in lacking)
+    assert later.pending == tuple(x for x in range(now.first) if x not in lacking)
     rows, run = met.stopped(now)
     verdict = judge_run(rows, run, met.gate, met.against)
     assert (verdict.verdict, verdict.success) == ("PASS", None if not verdict.n else 1.0)
@@ -326,18 +326,18 @@ def test_workers_that_run_ahead_end_with_the_same_trials_and_verdict(course, see
     met = course(f"{bar}max_drop: 0.35, tolerate: 0.3{tiers}", scores)
     alone = met.by_one()
     workers = int(rng.integers(2, 7))
-    contest, going = met.contest(), list[int]()
+    comparison, going = met.comparison(), list[int]()
     ended = {}
     while True:
-        now = contest.next(ended)
-        if not now.ahead:
+        now = comparison.next(ended)
+        if not now.pending:
             break
-        going += [place for place in now.ahead[:workers] if place not in going]
+        going += [place for place in now.pending[:workers] if place not in going]
         place = going.pop(int(rng.integers(len(going))))
         ended[place] = met.rows[place]
     assert now == alone
     # Whoever goes on later with what there is, in one look, finds the same.
-    assert met.contest().next(ended) == alone
+    assert met.comparison().next(ended) == alone
     rows, run = met.stopped(alone)
     verdict = judge_run(rows, run, met.gate, met.against)
     if run.stop is not None:

@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from nw_gate.stats.bank.evidence import DOWN, UP, Bank, Bets, Margins, along
-from nw_gate.stats.bank.trials import DrawnTrials, Looks, above_at, below_at, looks
+from nw_gate.stats.baseline.evidence import DOWN, UP, Bets, Margins, Reference, along
+from nw_gate.stats.baseline.trials import DrawnTrials, Looks, above_at, below_at, looks
 
-PERFECT = Bank(means=np.ones(1))
+PERFECT = Reference(means=np.ones(1))
 shares = st.sampled_from([0.0, 0.25, 1 / 3, 0.5, 2 / 3, 0.8, 1.0])
 shapes = st.sampled_from([(1, 1), (1, 2), (1, 4), (2, 2), (2, 3), (3, 2)])
 panels = shapes.flatmap(lambda shape: arrays(np.float64, (2, *shape), elements=shares))
@@ -41,13 +41,13 @@ def in_one_scene(candidate: list[float], baseline: float = 1.0) -> DrawnTrials:
     return trials_of(np.arange(len(candidate)), np.full_like(scores, baseline), scores)
 
 
-def campaign(seed: int = 0, scenes: int = 13) -> tuple[Bank, DrawnTrials]:
+def campaign(seed: int = 0, scenes: int = 13) -> tuple[Reference, DrawnTrials]:
     """Half of the pairs of a scene and one of 24 starts, in random order."""
     rng = np.random.default_rng(seed)
     baseline = rng.integers(2, 6, (scenes, 24)) / 5
     candidate = rng.integers(0, 6, (scenes, 24)) / 5
     order = rng.permutation(baseline.size)[: baseline.size // 2]
-    return Bank.of(baseline), trials_of(order, baseline, candidate)
+    return Reference.of(baseline), trials_of(order, baseline, candidate)
 
 
 def same(one: Looks, other: Looks) -> bool:
@@ -127,12 +127,12 @@ def test_failures_grow_the_evidence_against_a_scene(scores, evidence):
 
 
 def test_a_scenes_evidence_is_of_its_own_trials_whatever_comes_between():
-    bank, trials = campaign()
-    found = looks(bank, trials, Margins()).own
+    reference, trials = campaign()
+    found = looks(reference, trials, Margins()).own
     for scene in range(13):
         own = np.flatnonzero(trials.scenes == scene)
         alone = replace(trials.at(own.tolist()), scenes=np.zeros(len(own), dtype=np.intp))
-        one = replace(bank, means=bank.means[[scene]])
+        one = replace(reference, means=reference.means[[scene]])
         assert np.array_equal(looks(one, alone, Margins()).own, found[own])
 
 
@@ -145,7 +145,7 @@ def test_at_the_margin_the_mean_over_all_orders_is_at_most_one(panel):
         return
     drawn = in_all_orders(better, worse)
     margins = Margins(max_drop=drop, tolerate=drop, scene_drop=drop)
-    found = looks(Bank.of(better), drawn, margins)
+    found = looks(Reference.of(better), drawn, margins)
     for evidence in (found.passed, found.regressed):
         assert evidence.mean(axis=0).max() <= 1.0 + 1e-9
     # A scene that dropped more than the mean of all is beyond its margin.
@@ -160,7 +160,9 @@ def test_as_long_as_nothing_is_all_but_used_up_the_mean_over_all_orders_is_one()
     candidate = np.array([[1.0, 0.5, 0.5], [0.5, 0.5, 0.0]])
     drop = float(baseline.mean() - candidate.mean())
     drawn = in_all_orders(baseline, candidate)
-    found = looks(Bank.of(baseline), drawn, Margins(max_drop=drop, tolerate=drop, scene_drop=drop))
+    found = looks(
+        Reference.of(baseline), drawn, Margins(max_drop=drop, tolerate=drop, scene_drop=drop)
+    )
     for evidence in (found.passed, found.regressed):
         assert evidence[:, :3].mean(axis=0) == pytest.approx(1.0, abs=1e-9)
     for scene in (0, 1):
@@ -176,10 +178,10 @@ def test_over_all_orders_evidence_seldom_convinces_of_what_is_not_so(starts, see
     if not candidate.mean() <= baseline.mean():
         baseline, candidate = candidate, baseline
     drop = float(baseline.mean() - candidate.mean())
-    bank = Bank(means=baseline.mean(axis=1), starts=starts)
+    reference = Reference(means=baseline.mean(axis=1), starts=starts)
     drawn = in_all_orders(baseline, candidate)
     assert drawn.scenes.shape == (720, 6)
-    found = looks(bank, drawn, Margins(max_drop=drop, tolerate=drop))
+    found = looks(reference, drawn, Margins(max_drop=drop, tolerate=drop))
     for evidence in (found.passed, found.regressed):
         assert evidence.mean(axis=0).max() <= 1.0 + 1e-9
         highest = evidence.max(axis=1)
@@ -209,7 +211,7 @@ def test_at_the_margin_evidence_ever_convinces_no_more_often_than_it_promises(ki
     order = np.argsort(rng.random((gates, baseline.size)), axis=1)[:, :96]
     drop = float(baseline.mean() - candidate.mean())
     trials = trials_of(order, baseline, candidate)
-    found = looks(Bank.of(baseline), trials, Margins(max_drop=drop, tolerate=drop))
+    found = looks(Reference.of(baseline), trials, Margins(max_drop=drop, tolerate=drop))
     most = alpha + 3 * sqrt(alpha * (1 - alpha) / gates)
     for evidence in (found.passed, found.regressed):
         # Looking after every trial, whatever the scenes would say.
@@ -221,9 +223,9 @@ def test_at_the_margin_evidence_ever_convinces_no_more_often_than_it_promises(ki
 @given(panels, st.randoms(use_true_random=False))
 def test_a_better_trial_helps_to_pass_and_never_convicts(panel, rng):
     order = np.array(rng.sample(range(panel[0].size), panel[0].size))
-    bank = Bank.of(panel[1])
-    worse = looks(bank, trials_of(order, panel[1], panel[0]), Margins())
-    better = looks(bank, trials_of(order, panel[1], panel.max(axis=0)), Margins())
+    reference = Reference.of(panel[1])
+    worse = looks(reference, trials_of(order, panel[1], panel[0]), Margins())
+    better = looks(reference, trials_of(order, panel[1], panel.max(axis=0)), Margins())
     assert (better.passed >= worse.passed * (1 - 1e-9)).all()
     assert (better.regressed * (1 - 1e-9) <= worse.regressed).all()
     assert (better.own * (1 - 1e-9) <= worse.own).all()
@@ -231,43 +233,43 @@ def test_a_better_trial_helps_to_pass_and_never_convicts(panel, rng):
 
 @pytest.mark.parametrize("count", [1, 2, 50, 155])
 def test_trials_that_come_later_change_no_bit_of_the_looks_before(count):
-    bank, trials = campaign()
-    every = looks(bank, trials, Margins())
-    first = looks(bank, trials.at(range(count)), Margins())
+    reference, trials = campaign()
+    every = looks(reference, trials, Margins())
+    first = looks(reference, trials.at(range(count)), Margins())
     assert same(first, Looks(*(part[:count] for part in every)))
 
 
 @pytest.mark.parametrize("lay", [np.ascontiguousarray, np.asfortranarray])
 def test_neither_the_layout_of_memory_nor_other_gates_change_a_bit(lay):
-    bank, trials = campaign()
-    expected = looks(bank, trials, Margins())
+    reference, trials = campaign()
+    expected = looks(reference, trials, Margins())
     three = DrawnTrials(
         scenes=lay(np.stack([trials.scenes[::-1], trials.scenes, trials.scenes])),
         candidate=lay(np.stack([trials.candidate, trials.candidate, 1.0 - trials.candidate])),
         baseline=lay(np.stack([trials.baseline[::-1], trials.baseline, trials.baseline])),
     )
-    means = lay(np.stack([bank.means[::-1], bank.means, bank.means]))
-    for which in (bank, replace(bank, means=means)):
+    means = lay(np.stack([reference.means[::-1], reference.means, reference.means]))
+    for which in (reference, replace(reference, means=means)):
         together = looks(which, three, Margins())
         assert same(expected, Looks(*(part[1] for part in together)))
 
 
-def test_the_order_of_trials_matters_to_a_bank_but_not_to_fresh_starts():
+def test_the_order_of_trials_matters_to_a_baseline_but_not_to_fresh_starts():
     known, trials = campaign(scenes=5)
     back = trials.at(range(len(trials.scenes) - 1, -1, -1))
-    for bank, equal in ((known.fresh(), True), (known, False)):
-        one, other = (looks(bank, drawn, Margins()).passed[-1] for drawn in (trials, back))
+    for reference, equal in ((known.fresh(), True), (known, False)):
+        one, other = (looks(reference, drawn, Margins()).passed[-1] for drawn in (trials, back))
         assert np.isclose(one, other, rtol=1e-9, atol=0.0) == equal
 
 
 @pytest.mark.parametrize("paired", [False, True])
 def test_a_missing_trial_counts_as_a_failure_for_pass_and_as_a_success_against_it(paired):
-    bank, trials = campaign(scenes=3)
-    bank = Bank.control(3) if paired else bank
+    reference, trials = campaign(scenes=3)
+    reference = Reference.control(3) if paired else reference
 
     def scoring(success: float) -> Looks:
         candidate = np.where(np.arange(36) == 7, success, trials.candidate)
-        return looks(bank, replace(trials, candidate=candidate), Margins())
+        return looks(reference, replace(trials, candidate=candidate), Margins())
 
     missing, failed, succeeded = scoring(nan), scoring(0.0), scoring(1.0)
     assert np.array_equal(missing.passed, failed.passed)
@@ -279,9 +281,9 @@ def test_a_missing_trial_counts_as_a_failure_for_pass_and_as_a_success_against_i
 
 
 def test_trials_that_are_all_missing_decide_nothing():
-    bank, trials = campaign(scenes=6)
+    reference, trials = campaign(scenes=6)
     gone = replace(trials, candidate=np.full(len(trials.scenes), nan))
-    found = looks(bank, gone, Margins())
+    found = looks(reference, gone, Margins())
     for evidence in found:
         assert evidence.max() < 1.0
 
@@ -290,31 +292,31 @@ def test_what_is_true_of_the_panel_is_certain_at_its_end_and_of_fresh_starts_nev
     baseline = np.array([[1.0, 1.0, 0.5], [1.0, 0.5, 0.0]])
     candidate = np.array([[1.0, 0.5, 0.5], [0.5, 0.5, 0.0]])
     drop, drawn = float(baseline.mean() - candidate.mean()), in_all_orders(baseline, candidate)
-    margins, bank = Margins(max_drop=drop + 0.01, tolerate=drop - 0.01), Bank.of(baseline)
-    panel = looks(bank, drawn, margins)
+    margins, reference = Margins(max_drop=drop + 0.01, tolerate=drop - 0.01), Reference.of(baseline)
+    panel = looks(reference, drawn, margins)
     assert np.isinf(panel.passed[:, -1]).all()
     assert np.isinf(panel.regressed[:, -1]).all()
-    fresh = looks(bank.fresh(), drawn, margins)
+    fresh = looks(reference.fresh(), drawn, margins)
     assert max(fresh.passed.max(), fresh.regressed.max()) < 10.0
 
 
 def test_a_claim_is_certain_as_soon_as_what_is_left_cannot_refute_it():
-    bank = Bank(means=np.ones(1), starts=4)
+    reference = Reference(means=np.ones(1), starts=4)
     # Of four starts a drop of .10 leaves 3.6 successes: after four of them it is impossible.
-    found = looks(bank, in_one_scene([1.0] * 4), Margins()).passed
+    found = looks(reference, in_one_scene([1.0] * 4), Margins()).passed
     assert found[:3].max() < 2.0
     assert found[3] == inf
     # A drop of at most .02 leaves at least 3.92: with one failure of four it is, too.
-    failed = looks(bank, in_one_scene([0.0, 1.0, 1.0, 1.0]), Margins())
+    failed = looks(reference, in_one_scene([0.0, 1.0, 1.0, 1.0]), Margins())
     assert np.isinf(failed.regressed).all()
     assert np.isinf(failed.own).all()
 
 
 def test_a_baseline_that_nowhere_scores_max_drop_cannot_be_undercut_by_so_much():
-    bank = Bank(means=np.array([0.05, 0.09]))
+    reference = Reference(means=np.array([0.05, 0.09]))
     trials = trials_of(np.arange(4), np.zeros((2, 2)), np.zeros((2, 2)))
-    assert np.isinf(looks(bank, trials, Margins(max_drop=0.10)).passed).all()
-    assert np.isfinite(looks(bank, trials, Margins(max_drop=0.09)).passed).all()
+    assert np.isinf(looks(reference, trials, Margins(max_drop=0.10)).passed).all()
+    assert np.isfinite(looks(reference, trials, Margins(max_drop=0.09)).passed).all()
 
 
 def test_a_null_that_is_just_true_is_never_called_impossible_by_rounding():
@@ -324,7 +326,7 @@ def test_a_null_that_is_just_true_is_never_called_impossible_by_rounding():
     for _ in range(40):
         scores = rng.choice([0.1, 0.2, 0.3, 1 / 3, 2 / 3, 0.7, 1.0], (5, 30))
         trials = trials_of(rng.permutation(scores.size), scores, scores)
-        for evidence in looks(Bank.of(scores), trials, exact):
+        for evidence in looks(Reference.of(scores), trials, exact):
             assert np.isfinite(evidence).all()
 
 
@@ -335,21 +337,21 @@ def test_rounding_wins_no_bet_where_a_null_leaves_only_zeros():
         baseline = np.array([[hundredths / 100, 1.0, 1.0]])
         candidate = np.array([[hundredths / 170, 0.0, 0.0]])
         margins = Margins(max_drop=float(baseline.mean() - candidate.mean()))
-        found = looks(Bank.of(baseline), in_all_orders(baseline, candidate), margins)
+        found = looks(Reference.of(baseline), in_all_orders(baseline, candidate), margins)
         assert found.passed.mean(axis=0) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_overwhelming_evidence_stays_a_number():
-    bank, order = Bank(means=np.ones(300)), np.arange(9000)
+    reference, order = Reference(means=np.ones(300)), np.arange(9000)
     trials = trials_of(order, np.ones((300, 30)), np.zeros((300, 30)))
-    found = looks(bank, trials, Margins(tolerate=0.0))
+    found = looks(reference, trials, Margins(tolerate=0.0))
     assert 1e100 < found.regressed[-1] < inf
     assert found.passed[-1] == 0.0
     assert not np.isnan(found.regressed).any()
 
 
 def test_beside_a_control_only_the_difference_of_the_two_arms_counts():
-    control = Bank.control(1)
+    control = Reference.control(1)
     ties = looks(control, in_one_scene([0.3] * 40, baseline=0.3), Margins(max_drop=0.10))
     perfect = looks(PERFECT, in_one_scene([1.0] * 40), Margins(max_drop=0.10))
     assert ties.passed == pytest.approx(perfect.passed)
@@ -365,11 +367,13 @@ def test_beside_a_control_only_the_difference_of_the_two_arms_counts():
 def test_z_has_the_candidates_mean_over_the_panel_and_stays_within_its_ends():
     rng = np.random.default_rng(5)
     baseline, candidate = rng.random((2, 4, 50))
-    bank, trials = Bank.of(baseline), trials_of(np.arange(200), baseline, candidate)
-    sides = zip(bank.betas, above_at(bank, trials), below_at(bank, trials), strict=True)
+    reference, trials = Reference.of(baseline), trials_of(np.arange(200), baseline, candidate)
+    sides = zip(
+        reference.betas, above_at(reference, trials), below_at(reference, trials), strict=True
+    )
     for beta, above, below in sides:
-        assert above.mean() + bank.least(beta) == pytest.approx(candidate.mean(), rel=1e-12)
-        assert bank.most(beta) - below.mean() == pytest.approx(candidate.mean(), rel=1e-12)
+        assert above.mean() + reference.least(beta) == pytest.approx(candidate.mean(), rel=1e-12)
+        assert reference.most(beta) - below.mean() == pytest.approx(candidate.mean(), rel=1e-12)
         assert min(above.min(), below.min()) >= 0.0
 
 
@@ -380,20 +384,20 @@ def test_a_success_outside_the_unit_interval_is_refused(wrong):
             in_one_scene([candidate], baseline)
 
 
-def test_a_bank_needs_a_scene_and_a_start_and_a_result_of_each():
+def test_a_baseline_needs_a_scene_and_a_start_and_a_result_of_each():
     with pytest.raises(ValueError, match="one scene at least"):
-        Bank(means=np.zeros(0))
+        Reference(means=np.zeros(0))
     with pytest.raises(ValueError, match="one at least"):
-        Bank(means=np.ones(1), starts=0)
+        Reference(means=np.ones(1), starts=0)
     with pytest.raises(ValueError, match="success nan is not between 0 and 1"):
-        Bank.of(np.array([[1.0, nan]]))
+        Reference.of(np.array([[1.0, nan]]))
 
 
 def test_more_trials_of_a_scene_than_it_has_starts_are_refused():
     ones = np.ones(3)
     trials = DrawnTrials(scenes=np.zeros(3, dtype=np.intp), candidate=ones, baseline=ones)
     with pytest.raises(ValueError, match="3 draws of 2 numbers"):
-        looks(Bank(means=np.ones(2), starts=2), trials, Margins())
+        looks(Reference(means=np.ones(2), starts=2), trials, Margins())
 
 
 @pytest.mark.parametrize(

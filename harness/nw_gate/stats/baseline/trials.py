@@ -19,7 +19,7 @@ at most `tolerate` is flagged by the mean with at most alpha_regr. If no scene d
 than scene_drop, any is named with at most alpha_regr besides: the S scenes share that error.
 
 **The same trials whatever the number of workers.** Which trials are judged follows from the order
-and from the results of those before. Workers may run ahead in the order (`TrialDecision.ahead`);
+and from the results of those before. Workers may run ahead in the order (`TrialDecision.pending`);
 what they find beyond the trial that settles it is not judged. So no batch has to be waited for, and
 the number of trials that are judged is the least that there can be.
 
@@ -57,13 +57,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from nw_base.words import Tier
-from nw_gate.stats.bank.evidence import (
+from nw_gate.stats.baseline.evidence import (
     DOWN,
     UP,
-    Bank,
     Floats,
     Margins,
     Places,
+    Reference,
     Truths,
     along,
     capital,
@@ -179,7 +179,7 @@ class TrialRules:
     @property
     def critical(self) -> frozenset[int]:
         """Scenes that are judged alone too, by index."""
-        return frozenset(place for place, tier in enumerate(self.tiers) if tier == "critical")
+        return frozenset(index for index, tier in enumerate(self.tiers) if tier == "critical")
 
     @property
     def names_at(self) -> float:
@@ -200,7 +200,7 @@ class TrialDecision:
     """Scenes that regressed, whatever the word, by index."""
     waits_for: tuple[int, ...]
     """Scenes that alone hold back a PASS that the mean allows."""
-    ahead: tuple[int, ...]
+    pending: tuple[int, ...]
     """Trials that come next if none of them settles it, by index in the order, those that have
     ended already among them; none once it is settled or the budget is spent. W workers run those of
     the first W that have not ended: further ahead more would be run for nothing."""
@@ -211,41 +211,49 @@ class TrialDecision:
         return self.mean + len(self.followed)
 
 
-def looks(bank: Bank, trials: DrawnTrials, margins: Margins) -> Looks:
+def looks(reference: Reference, trials: DrawnTrials, margins: Margins) -> Looks:
     """Return the evidence after each trial.
 
     A baseline that scores less than max_drop in every scene cannot be undercut by so much: E_pass
     is infinite from the first trial on, and says nothing of the candidate.
 
     Args:
-        bank: of the baseline, or `Bank.control`; its means have the leading axes of the trials.
+        reference: a baseline or `Reference.control`; its means have the leading axes of the
+            trials.
         trials: in the order drawn, shape (..., T).
         margins: drops that the nulls allow.
 
     Raises:
         ValueError: there are more trials than pairs of a scene and a start.
     """
-    _check_baseline(bank, trials)
-    means = np.broadcast_to(bank.means, (*trials.scenes.shape[:-1], bank.means.shape[-1]))
+    _check_baseline(reference, trials)
+    means = np.broadcast_to(reference.means, (*trials.scenes.shape[:-1], reference.means.shape[-1]))
     worst, best = trials.counted(0.0), trials.counted(1.0)
-    losses = scene_losses(bank, best.candidate, best.baseline)
-    floors = np.broadcast_to(scene_nulls(bank, margins), means.shape)
+    losses = scene_losses(reference, best.candidate, best.baseline)
+    floors = np.broadcast_to(scene_nulls(reference, margins), means.shape)
     return Looks(
-        passed=capital(bank, above_at(bank, worst), nulls_at_least(bank, margins.max_drop), UP),
-        regressed=capital(bank, below_at(bank, best), nulls_at_most(bank, margins.tolerate), DOWN),
-        own=_own(trials.scenes, losses, floors, bank.starts),
+        passed=capital(
+            reference, above_at(reference, worst), nulls_at_least(reference, margins.max_drop), UP
+        ),
+        regressed=capital(
+            reference, below_at(reference, best), nulls_at_most(reference, margins.tolerate), DOWN
+        ),
+        own=_own(trials.scenes, losses, floors, reference.starts),
     )
 
 
 def settle(
-    bank: Bank, trials: DrawnTrials, rules: TrialRules, known: Sequence[bool] | Truths | None = None
+    reference: Reference,
+    trials: DrawnTrials,
+    rules: TrialRules,
+    known: Sequence[bool] | Truths | None = None,
 ) -> TrialDecision:
     """Return what the trials that are known so far settle.
 
     Args:
-        bank: of the baseline, or `Bank.control`, without leading axes.
+        reference: a baseline or `Reference.control`, without leading axes.
         trials: all of the budget in the order drawn, shape (T,).
-        rules: of the gate.
+        rules: the gate's.
         known: which of them have ended, shape (T,), with a result or without any; all if None. Of
             one that has not nothing is looked at, nor of any that comes after it and would only be
             judged if it settled nothing.
@@ -253,12 +261,12 @@ def settle(
     Raises:
         ValueError: the tiers are not those of the baseline; or as `looks`.
     """
-    _check(bank, rules)
+    _check(reference, rules)
     budget = len(trials.scenes)
     ended = np.ones(budget, dtype=bool) if known is None else np.array(known, dtype=bool)
     count = budget if ended.all() else int(ended.argmin())
     every = looks(
-        bank,
+        reference,
         replace(trials, candidate=np.where(ended, trials.candidate, np.nan)),
         rules.margins,
     )
@@ -276,28 +284,28 @@ def _rule(
             be judged, nothing is looked at.
         count: trials that have ended before the first that has not.
         ended: which have, shape (T,).
-        rules: of the gate.
+        rules: the gate's.
     """
-    convicting, passing = _reached(scenes[:count], every, rules)
-    flags, passes = _first(convicting), _first(passing)
+    flagging, passing = _reached(scenes[:count], every, rules)
+    flags, passes = _first(flagging), _first(passing)
     mean = min(count, flags + 1, passes + 1)
     found = _Scenes(scenes[:mean], every.own[:mean], rules)
     word: _Word = "undecided"
-    followed, ahead = list[int](), list[int]()
+    followed, pending = list[int](), list[int]()
     if flags < mean:
         word = "REGRESSED"
     elif passes < mean:
-        followed, ahead = found.follow(scenes, every.own, ended, mean)
+        followed, pending = found.follow(scenes, every.own, ended, mean)
         word = "REGRESSED" if found.flagged else "undecided" if found.waits else "PASS"
     else:
-        ahead = list(range(count, len(scenes)))
+        pending = list(range(count, len(scenes)))
     return TrialDecision(
         word=word,
         mean=mean,
         followed=tuple(followed),
         named=tuple(sorted(found.named)),
         waits_for=tuple(sorted(found.waits)) if word == "undecided" else (),
-        ahead=tuple(ahead),
+        pending=tuple(pending),
     )
 
 
@@ -318,7 +326,7 @@ class _Scenes:
     Args:
         scenes: of the trials so far, in order, shape (T,).
         own: E_s after each, shape (T,).
-        rules: of the gate.
+        rules: the gate's.
     """
 
     def __init__(self, scenes: Places, own: Floats, rules: TrialRules) -> None:
@@ -345,19 +353,19 @@ class _Scenes:
         """
         self.waits = {scene for scene in range(len(self._met)) if self._is_waited_for(scene)}
         followed = list[int]()
-        for place in range(begin, len(scenes)):
-            scene = int(scenes[place])
+        for index in range(begin, len(scenes)):
+            scene = int(scenes[index])
             if self.flagged or not self.waits:
                 break
             if scene not in self.waits:
                 continue
-            if not ended[place]:
-                rest = np.isin(scenes[place:], list(self.waits))
-                return followed, (place + np.flatnonzero(rest)).tolist()
-            followed.append(place)
+            if not ended[index]:
+                rest = np.isin(scenes[index:], list(self.waits))
+                return followed, (index + np.flatnonzero(rest)).tolist()
+            followed.append(index)
             self._met[scene] += 1
-            self._own[scene] = own[place]
-            if own[place] >= self._names_at:
+            self._own[scene] = own[index]
+            if own[index] >= self._names_at:
                 self.named.add(scene)
             if not self._is_waited_for(scene):
                 self.waits.discard(scene)
@@ -370,17 +378,19 @@ class _Scenes:
         return bool(few or self._own[scene] >= SUSPECT)
 
 
-def settle_all(bank: Bank, trials: DrawnTrials, rules: TrialRules) -> list[TrialDecision]:
+def settle_all(reference: Reference, trials: DrawnTrials, rules: TrialRules) -> list[TrialDecision]:
     """Return how gates end of which every trial is known: `settle` of each, and much faster.
 
     Args:
-        bank: means of shape (S,), or (gates, S) for a baseline of each.
+        reference: means of shape (S,), or (gates, S) for a baseline of each.
         trials: shape (gates, T).
         rules: of all gates.
     """
-    _check(bank, rules)
+    _check(reference, rules)
     gates, budget = trials.scenes.shape
-    whole = replace(bank, means=np.broadcast_to(bank.means, (gates, bank.means.shape[-1])))
+    whole = replace(
+        reference, means=np.broadcast_to(reference.means, (gates, reference.means.shape[-1]))
+    )
     found: dict[int, TrialDecision] = {}
     going, count = np.arange(gates), min(64, budget)
     while going.size:
@@ -431,32 +441,32 @@ def most_false_alarms(
     return min(1.0, by_bar + by_baseline)
 
 
-def above_at(bank: Bank, trials: DrawnTrials) -> list[Floats]:
+def above_at(reference: Reference, trials: DrawnTrials) -> list[Floats]:
     """Return y of each trial for each beta and account, shape (..., T): what PASS is won by."""
-    own = [_centred(bank, trials, beta) - bank.least(beta) for beta in bank.betas]
-    if bank.bets is None:
+    own = [_centred(reference, trials, beta) - reference.least(beta) for beta in reference.betas]
+    if reference.bets is None:
         return own
     given = (trials.scenes, trials.baseline, trials.candidate)
-    return [*own, *(bank.bets.values(account, *given) for account in bank.bets.above)]
+    return [*own, *(reference.bets.values(account, *given) for account in reference.bets.above)]
 
 
-def below_at(bank: Bank, trials: DrawnTrials) -> list[Floats]:
+def below_at(reference: Reference, trials: DrawnTrials) -> list[Floats]:
     """Return y of each trial as `above_at` does: what REGRESSED is won by."""
-    own = [bank.most(beta) - _centred(bank, trials, beta) for beta in bank.betas]
-    if bank.bets is None:
+    own = [reference.most(beta) - _centred(reference, trials, beta) for beta in reference.betas]
+    if reference.bets is None:
         return own
     given = (trials.scenes, trials.baseline, 1.0 - trials.candidate)
-    return [*own, *(bank.bets.values(account, *given) for account in bank.bets.below)]
+    return [*own, *(reference.bets.values(account, *given) for account in reference.bets.below)]
 
 
-def _centred(bank: Bank, trials: DrawnTrials, beta: float) -> Floats:
+def _centred(reference: Reference, trials: DrawnTrials, beta: float) -> Floats:
     """Return z of `evidence`, shape (..., T)."""
-    if bank.means.ndim == 1:
-        means = bank.means[trials.scenes]
+    if reference.means.ndim == 1:
+        means = reference.means[trials.scenes]
     else:
-        means = np.take_along_axis(bank.means, trials.scenes, axis=-1)
+        means = np.take_along_axis(reference.means, trials.scenes, axis=-1)
     known = means + beta * (trials.baseline - means)
-    return trials.candidate - known + bank.mean
+    return trials.candidate - known + reference.mean
 
 
 def _own(scenes: Places, losses: Floats, nulls: Floats, starts: float) -> Floats:
@@ -491,13 +501,13 @@ def _first(holds: Truths) -> int:
     return int(holds.argmax()) if holds.any() else len(holds)
 
 
-def _check(bank: Bank, rules: TrialRules) -> None:
-    if len(rules.tiers) != bank.means.shape[-1]:
-        raise ValueError(f"{len(rules.tiers)} tiers for {bank.means.shape[-1]} scenes")
+def _check(reference: Reference, rules: TrialRules) -> None:
+    if len(rules.tiers) != reference.means.shape[-1]:
+        raise ValueError(f"{len(rules.tiers)} tiers for {reference.means.shape[-1]} scenes")
 
 
-def _check_baseline(bank: Bank, trials: DrawnTrials) -> None:
-    if not bank.paired and np.isnan(trials.baseline).any():
+def _check_baseline(reference: Reference, trials: DrawnTrials) -> None:
+    if not reference.paired and np.isnan(trials.baseline).any():
         raise ValueError("a baseline has a result from every start; one is missing")
 
 

@@ -1,7 +1,7 @@
 """What the gate does trial by trial, simulated on the committed baselines with the shipped code.
 
 A cell is a kind of gate, a baseline, a number of starts and a policy; of each 2,000 gates are run.
-`python tests/gate/stats/bank/gate_cells.py` writes `gate_cells.csv` anew. `record_gate_page.py`
+`python tests/gate/stats/baseline/gate_cells.py` writes `gate_cells.csv` anew. `record_gate_page.py`
 makes tables of docs/concepts/power.md from it.
 
 The starts of a committed baseline are the population. A fresh claim draws a baseline of M starts
@@ -23,11 +23,11 @@ from zlib import crc32
 
 import numpy as np
 
-from nw_gate.results.bank import score
-from nw_gate.results.bank_file import read_bank
-from nw_gate.stats.bank.baseline_bets import BaselineBets, make_bets
-from nw_gate.stats.bank.evidence import Bank, Margins
-from nw_gate.stats.bank.trials import DrawnTrials, TrialRules, settle_all
+from nw_gate.results.baseline import score
+from nw_gate.results.baseline_file import read_baseline
+from nw_gate.stats.baseline.baseline_bets import BaselineBets, make_bets
+from nw_gate.stats.baseline.evidence import Margins, Reference
+from nw_gate.stats.baseline.trials import DrawnTrials, TrialRules, settle_all
 
 GATES = 2000
 BASELINES = Path(__file__).parents[4] / "reports" / "baselines"
@@ -180,7 +180,7 @@ def _some(cell: Cell, part: int, gates: int) -> Found:
     scenes, size = population.shape
     rounds = min(cell.rounds, cell.starts)
     drawn, starts = _draw(rng, scenes, cell.starts, rounds * scenes, gates)
-    margins, bank = Margins(), Bank.control(scenes)
+    margins, baseline = Margins(), Reference.control(scenes)
     if cell.claim.startswith("panel"):
         panel = population[:, np.argsort(rng.random(size))[: cell.starts]]
         candidate = _on_a_panel(panel, waypoints, cell, rng)
@@ -195,16 +195,16 @@ def _some(cell: Cell, part: int, gates: int) -> Found:
         elif cell.question == "at scene_drop":
             most = float((panel - candidate).mean(axis=1).max())
             margins = Margins(scene_drop=max(most, 0.0))
-        bank, c, b = Bank.of(panel), candidate[drawn, starts], panel[drawn, starts]
-        bank = bank.fresh() if cell.claim == "panel, as if fresh" else bank
-        bank = replace(bank, bets=_bets(panel, waypoints, margins))
+        baseline, c, b = Reference.of(panel), candidate[drawn, starts], panel[drawn, starts]
+        baseline = baseline.fresh() if cell.claim == "panel, as if fresh" else baseline
+        baseline = replace(baseline, bets=_bets(panel, waypoints, margins))
     elif cell.claim == "fresh":
         which = rng.integers(0, size, (gates, scenes, cell.starts))
-        banks = np.take_along_axis(population[None], which, axis=2)
+        baselines = np.take_along_axis(population[None], which, axis=2)
         chosen = which[np.arange(gates)[:, None], drawn, starts]
         c = _candidate(population, waypoints, cell, rng)(drawn, chosen)
-        bets = _bets(banks, waypoints, margins)
-        bank, b = Bank(means=banks.mean(axis=2), bets=bets), population[drawn, chosen]
+        bets = _bets(baselines, waypoints, margins)
+        baseline, b = Reference(means=baselines.mean(axis=2), bets=bets), population[drawn, chosen]
     else:
         chosen = rng.integers(0, size, drawn.shape)
         drift = replace(cell, kind="harder", drop=cell.drift)
@@ -218,7 +218,7 @@ def _some(cell: Cell, part: int, gates: int) -> Found:
         c = _candidate(population, waypoints, below, rng)(drawn, chosen)
     tiers = tuple("critical" if s < cell.critical else "supporting" for s in range(scenes))
     rules = TrialRules(tiers=tiers, margins=margins, alpha_regr=cell.alpha_regr)
-    decisions = settle_all(bank, DrawnTrials(scenes=drawn, candidate=c, baseline=b), rules)
+    decisions = settle_all(baseline, DrawnTrials(scenes=drawn, candidate=c, baseline=b), rules)
     words = np.array([decision.word for decision in decisions])
     named = np.array([bool(decision.named) for decision in decisions])
     arms = 2 if cell.claim == "control" else 1
@@ -237,7 +237,7 @@ def _bets(scores: np.ndarray, waypoints: np.ndarray, margins: Margins) -> Baseli
     )
 
 
-def bank_of(baseline: str) -> str:
+def baseline_of(baseline: str) -> str:
     """Return `SUITE/NAME` of the committed baseline that a cell means."""
     return baseline.replace("/", "-state/")
 
@@ -247,8 +247,8 @@ def scores_of(baseline: str) -> tuple[np.ndarray, np.ndarray]:
     """Return success from each start, shape (S, M), and the waypoints of each scene, shape (S,)."""
     name, _, coins = baseline.partition(", all or ")
     name, _, few = name.partition(", first ")
-    bank = read_bank(BASELINES / f"{bank_of(name)}.parquet")
-    panel = [*bank.panels[0].by_stratum.values()]
+    saved = read_baseline(BASELINES / f"{baseline_of(name)}.parquet")
+    panel = [*saved.panels[0].by_stratum.values()]
     panel = panel[: int(few) if few else None]
     scores = np.array([[score(start) for start in starts] for starts in panel], dtype=np.float64)
     waypoints = np.array([starts[0].waypoints_total for starts in panel])

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nw_gate.baseline.power_forecast import outset_of_bank
-from nw_gate.results.bank_file import read_bank
+from nw_gate.baseline.power_forecast import outset_of_baseline
+from nw_gate.results.baseline_file import read_baseline
 from nw_gate.settings import Gate
-from nw_gate.stats.bank.baseline_bets import make_bets
-from nw_gate.stats.bank.curve import (
+from nw_gate.stats.baseline.baseline_bets import make_bets
+from nw_gate.stats.baseline.curve import (
     Progress,
     chances_of,
     progress_from,
@@ -21,8 +21,8 @@ from nw_gate.stats.bank.curve import (
     success_of,
     trials_for,
 )
-from nw_gate.stats.bank.evidence import Bank, Floats, Margins, Places
-from nw_gate.stats.bank.trials import DrawnTrials, TrialRules, settle, settle_all
+from nw_gate.stats.baseline.evidence import Floats, Margins, Places, Reference
+from nw_gate.stats.baseline.trials import DrawnTrials, TrialRules, settle, settle_all
 from nw_gate.stats.power import SceneCounts
 
 BASELINES = Path(__file__).parents[4] / "reports" / "baselines"
@@ -31,7 +31,7 @@ ALL = SCENES * STARTS
 RULES = TrialRules(tiers=("supporting",) * SCENES)
 rng = np.random.default_rng(12)
 BASELINE = (rng.random((SCENES, STARTS, 4)) < 0.98).cumprod(-1).sum(-1) / 4
-BANK = Bank.of(BASELINE)
+REFERENCE = Reference.of(BASELINE)
 SEEN = [SceneCounts.of(reached.tolist(), [4]) for reached in np.rint(4 * BASELINE).astype(int)]
 ORDER = rng.permutation(ALL)
 
@@ -51,10 +51,10 @@ def after(
     trials: DrawnTrials,
     count: int,
     rules: TrialRules = RULES,
-    bank: Bank = BANK,
+    reference: Reference = REFERENCE,
 ) -> Progress:
     return progress_from(
-        bank,
+        reference,
         trials,
         rules,
         known=np.arange(ALL) < count,
@@ -93,7 +93,7 @@ def test_the_ends_that_are_simulated_are_those_that_come():
         whole, first = run(chance, ALL, seed), np.arange(ALL) < 16
         progress = after(replace(whole, candidate=np.where(first, whole.candidate, np.nan)), 16)
         for place, more in enumerate((16, 48, 128)):
-            end = settle(BANK, whole, RULES, np.arange(ALL) < 16 + more)
+            end = settle(REFERENCE, whole, RULES, np.arange(ALL) < 16 + more)
             ends[place] += end.word != "undecided"
             found[place] += progress.settled[more - 1]
     assert ends[0] < 35
@@ -106,8 +106,8 @@ def of_hurdles(drop: float, kind: str) -> tuple[Floats, Places, list[SceneCounts
 
     The drop is one factor of the odds in all scenes, or a share of trials that reach nothing.
     """
-    panel = read_bank(BASELINES / "hurdles" / "go1-parkour.parquet").panels[0]
-    seen = list(outset_of_bank(panel, Gate()).seen)
+    panel = read_baseline(BASELINES / "hurdles" / "go1-parkour.parquet").panels[0]
+    seen = list(outset_of_baseline(panel, Gate()).seen)
     starts, gates = seen[0].trials, np.random.default_rng(round(100 * drop))
     order = gates.permuted(np.tile(np.arange(len(seen) * starts), (1200, 1)), axis=1)
     scenes = order // starts
@@ -127,18 +127,18 @@ def test_of_open_runs_against_the_committed_hurdles_as_many_are_decided_as_is_sa
         known_scores = np.array([np.repeat(c.values, c.counts) for c in seen])
         k = np.array([len(c.counts) - 1 for c in seen])
         bets = make_bets(known_scores, k, max_drop=0.1, tolerate=0.02, by_start=False)
-        bank = Bank(means=known_scores.mean(axis=1), bets=bets)
-        whole = DrawnTrials(scenes=scenes, candidate=scores, baseline=bank.means[scenes])
-        first = settle_all(bank, whole.only(np.arange(len(scores)), budget), rules)
+        reference = Reference(means=known_scores.mean(axis=1), bets=bets)
+        whole = DrawnTrials(scenes=scenes, candidate=scores, baseline=reference.means[scenes])
+        first = settle_all(reference, whole.only(np.arange(len(scores)), budget), rules)
         is_open = [gate for gate, end in enumerate(first) if end.word == "undecided"][:16]
         known = np.arange(scenes.shape[-1]) < budget
         for gate in is_open:
             one = DrawnTrials(
-                scenes=scenes[gate], candidate=scores[gate], baseline=bank.means[scenes[gate]]
+                scenes=scenes[gate], candidate=scores[gate], baseline=reference.means[scenes[gate]]
             )
-            end = settle(bank, one, rules)
+            end = settle(reference, one, rules)
             more = sum(place >= budget for place in (*range(end.mean), *end.followed))
-            found = progress_from(bank, one, rules, known=known, seen=seen, repetitions=100)
+            found = progress_from(reference, one, rules, known=known, seen=seen, repetitions=100)
             for share, decided in within.items():
                 if (number := trials_for(found.settled, share)) is not None:
                     decided.append(end.word != "undecided" and more <= number)
@@ -153,7 +153,7 @@ def test_what_has_ended_beyond_the_trial_that_is_waited_for_is_known():
     # Place 39 still runs; 16 later ones have ended: one more trial judges 17.
     trials = run(1.0, 56)
     known = (np.arange(ALL) < 56) & (np.arange(ALL) != 39)
-    found = progress_from(BANK, trials, RULES, known=known, seen=SEEN, repetitions=300)
+    found = progress_from(REFERENCE, trials, RULES, known=known, seen=SEEN, repetitions=300)
     assert len(found.passed) == ALL - 55
     assert found.passed[0] > 0.9
 
@@ -165,8 +165,8 @@ def test_a_scene_that_is_named_already_holds_back_no_pass():
     held = replace(trials, candidate=trials.candidate.copy())
     held.candidate[suspect] = 0.0
     rules = TrialRules(tiers=RULES.tiers, margins=Margins(max_drop=0.3, tolerate=0.2))
-    assert settle(BANK, fails, rules, np.arange(ALL) < 80).named == (0,)
-    waiting = settle(BANK, held, rules, np.arange(ALL) < 80)
+    assert settle(REFERENCE, fails, rules, np.arange(ALL) < 80).named == (0,)
+    waiting = settle(REFERENCE, held, rules, np.arange(ALL) < 80)
     assert after(fails, 80, rules).passed[0] == 1.0
     assert waiting.waits_for == (0,) or waiting.word == "PASS"
 
@@ -175,13 +175,13 @@ def test_a_run_that_only_waits_for_a_scene_needs_trials_of_that_scene_alone():
     ones, scenes = np.ones(240), np.tile(np.arange(4), 60)
     candidate = np.where(np.isin(np.arange(240), [3, 7]), 0.0, 1.0)
     rules = TrialRules(tiers=("supporting",) * 4, margins=Margins(max_drop=0.5))
-    bank = Bank(means=np.ones(4))
+    reference = Reference(means=np.ones(4))
     whole = DrawnTrials(scenes=scenes, candidate=candidate, baseline=ones)
-    known = np.arange(240) < settle(bank, whole, rules).mean
-    decision = settle(bank, whole, rules, known)
+    known = np.arange(240) < settle(reference, whole, rules).mean
+    decision = settle(reference, whole, rules, known)
     assert (decision.word, decision.waits_for) == ("undecided", (3,))
     perfect = [SceneCounts.of([4] * 60, [4])] * 4
-    found = progress_from(bank, whole, rules, known=known, seen=perfect, repetitions=200)
+    found = progress_from(reference, whole, rules, known=known, seen=perfect, repetitions=200)
     # Sixty starts of the scene, of which some have been met: nothing is judged after those.
     last = 60 - int((scenes[known] == 3).sum())
     assert found.settled[0] < 0.5 < found.settled[last - 1]
@@ -200,6 +200,6 @@ def test_of_what_is_missing_nothing_is_learnt():
 def test_beside_a_control_its_trials_to_come_are_simulated_too():
     trials = run(0.98, 40)
     beside = replace(trials, baseline=np.where(np.arange(ALL) < 40, trials.baseline, np.nan))
-    found = after(beside, 40, bank=Bank.control(SCENES))
-    assert found == after(trials, 40, bank=Bank.control(SCENES))
+    found = after(beside, 40, reference=Reference.control(SCENES))
+    assert found == after(trials, 40, reference=Reference.control(SCENES))
     assert 0.0 < found.passed[100] < after(trials, 40).passed[100]

@@ -36,19 +36,19 @@ from math import inf
 
 import numpy as np
 
-from nw_gate.stats.bank.evidence import (
+from nw_gate.stats.baseline.evidence import (
     DOWN,
     UP,
-    Bank,
     Bets,
     Floats,
     Places,
+    Reference,
     Truths,
     capital,
     nulls_at_least,
     nulls_at_most,
 )
-from nw_gate.stats.bank.trials import DrawnTrials, above_at, below_at
+from nw_gate.stats.baseline.trials import DrawnTrials, above_at, below_at
 from nw_gate.stats.interval import Interval
 
 _PARTS, _TIMES = 32, 6
@@ -59,7 +59,7 @@ _TIMES_ALONE = 3
 
 
 def drop_interval_after(
-    bank: Bank,
+    reference: Reference,
     trials: DrawnTrials,
     *,
     alpha_pass: float = 0.05,
@@ -69,12 +69,12 @@ def drop_interval_after(
     """Return the drops of mean success that are not ruled out after T trials of the random order.
 
     Args:
-        bank: of the baseline, or `Bank.control`, without leading axes.
+        reference: a baseline or `Reference.control`, without leading axes.
         trials: those that the evidence on the mean rests on, shape (T,).
         alpha_pass: probability, at most, that the high end is below the true drop.
         alpha_regr: probability, at most, that the low end is above it.
         learns: whether half of the capital bets by what the trials before show: for scores, of a
-            baseline without an end (`Bank.fresh`, or a control). With another one none does.
+            baseline without an end (`Reference.fresh`, or a control). With another one none does.
 
     Returns:
         An interval within B - 1 to B, or -1 to 1 beside a control; all of it without trials. Where
@@ -84,12 +84,12 @@ def drop_interval_after(
     Raises:
         ValueError: there are more trials than pairs of a scene and a start.
     """
-    learns = learns and bank.starts == inf
-    return _interval(bank, trials, (alpha_pass, alpha_regr), _TIMES, learns=learns)
+    learns = learns and reference.starts == inf
+    return _interval(reference, trials, (alpha_pass, alpha_regr), _TIMES, learns=learns)
 
 
 def scene_drop_intervals(
-    bank: Bank, trials: DrawnTrials, *, alpha_pass: float = 0.05, alpha_regr: float = 0.01
+    reference: Reference, trials: DrawnTrials, *, alpha_pass: float = 0.05, alpha_regr: float = 0.01
 ) -> tuple[Interval, ...]:
     """Return for each scene the drops in it that its own trials do not rule out.
 
@@ -98,7 +98,7 @@ def scene_drop_intervals(
     those before.
 
     Args:
-        bank: as for `drop_interval_after`.
+        reference: as for `drop_interval_after`.
         trials: of all scenes, in the order drawn, shape (T,).
         alpha_pass: for each scene.
         alpha_regr: for each scene.
@@ -107,11 +107,11 @@ def scene_drop_intervals(
         ValueError: a scene has more trials than starts.
     """
     found: list[Interval] = []
-    for scene in range(len(bank.means)):
+    for scene in range(len(reference.means)):
         own = trials.at(np.flatnonzero(trials.scenes == scene).tolist())
         found.append(
             _interval(
-                replace(bank, means=bank.means[[scene]], bets=None),
+                replace(reference, means=reference.means[[scene]], bets=None),
                 replace(own, scenes=np.zeros_like(own.scenes)),
                 (alpha_pass, alpha_regr),
                 _TIMES_ALONE,
@@ -121,7 +121,7 @@ def scene_drop_intervals(
 
 
 def _interval(
-    bank: Bank,
+    reference: Reference,
     trials: DrawnTrials,
     alphas: tuple[float, float],
     times: int,
@@ -129,11 +129,11 @@ def _interval(
     learns: bool = False,
 ) -> Interval:
     """Return the drops that are not ruled out; `times` is how often a search keeps one part."""
-    high = 1.0 if bank.paired else float(bank.mean[0])
-    low = -1.0 if bank.paired else high - 1.0
+    high = 1.0 if reference.paired else float(reference.mean[0])
+    low = -1.0 if reference.paired else high - 1.0
     if not len(trials.scenes):
         return Interval(low, high)
-    too_small, too_large = _ruled_out(bank, trials, alphas, learns=learns)
+    too_small, too_large = _ruled_out(reference, trials, alphas, learns=learns)
     ends = [
         float(_first(holds, np.array([low]), np.array([high]), times)[0])
         for holds in (lambda drops: ~too_small(drops), too_large)
@@ -142,7 +142,7 @@ def _interval(
 
 
 def drops_ruled_out(
-    bank: Bank,
+    reference: Reference,
     trials: DrawnTrials,
     drops: tuple[float, float],
     *,
@@ -156,31 +156,31 @@ def drops_ruled_out(
     arguments are, and takes a hundredth of its time.
     """
     too_small, too_large = _ruled_out(
-        bank, trials, (alpha_pass, alpha_regr), learns=learns and bank.starts == inf
+        reference, trials, (alpha_pass, alpha_regr), learns=learns and reference.starts == inf
     )
     small, large = (np.array([[drop]]) for drop in drops)
     return bool(too_small(small)[0, 0]), bool(too_large(large)[0, 0])
 
 
 def _ruled_out(
-    bank: Bank, trials: DrawnTrials, alphas: tuple[float, float], *, learns: bool
+    reference: Reference, trials: DrawnTrials, alphas: tuple[float, float], *, learns: bool
 ) -> tuple[Callable[[Floats], Truths], Callable[[Floats], Truths]]:
     """Return what says of drops whether they are ruled out as too small, and as too large."""
-    ups, downs = above_at(bank, trials.counted(0.0)), below_at(bank, trials.counted(1.0))
+    ups, downs = above_at(reference, trials.counted(0.0)), below_at(reference, trials.counted(1.0))
     alpha_pass, alpha_regr = alphas
 
     def last(values: list[Floats], nulls: list[Floats], bets: Bets) -> Floats:
-        found = capital(bank, values, nulls, bets)[..., -1]
+        found = capital(reference, values, nulls, bets)[..., -1]
         if not learns:
             return found
         learnt = [_learnt(y, null) for y, null in zip(values, nulls, strict=True)]
         return (found + np.mean(learnt, axis=0)) / 2.0
 
     def too_small(drops: Floats) -> Truths:
-        return last(downs, nulls_at_most(bank, drops), DOWN) >= 1.0 / alpha_regr
+        return last(downs, nulls_at_most(reference, drops), DOWN) >= 1.0 / alpha_regr
 
     def too_large(drops: Floats) -> Truths:
-        return last(ups, nulls_at_least(bank, drops), UP) >= 1.0 / alpha_pass
+        return last(ups, nulls_at_least(reference, drops), UP) >= 1.0 / alpha_pass
 
     return too_small, too_large
 

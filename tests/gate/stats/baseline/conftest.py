@@ -1,4 +1,4 @@
-"""What the tests of a bank share lies beside them."""
+"""What the tests of a baseline share lies beside them."""
 
 import sys
 from pathlib import Path

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from gate_cells import ALL, HURDLES, bank_of, recorded_cells
+from gate_cells import ALL, HURDLES, recorded_cells, reference_of
 from measured import SEEN
 from record_gate_page import (
     BOUND,
@@ -25,7 +25,7 @@ from record_gate_page import (
     recorded,
 )
 
-from nw_gate.stats.bank.curve import (
+from nw_gate.stats.baseline.curve import (
     chances_of,
     draw,
     operating_curve,
@@ -33,11 +33,11 @@ from nw_gate.stats.bank.curve import (
     success_of,
     trials_for,
 )
-from nw_gate.stats.bank.evidence import Margins
-from nw_gate.stats.bank.trials import TrialRules, settle_all
+from nw_gate.stats.baseline.evidence import Margins
+from nw_gate.stats.baseline.trials import TrialRules, settle_all
 from nw_gate.stats.power import SceneCounts
 
-BANK = [replace(course, counts=6 * course.counts) for course in SEEN]
+REFERENCE = [replace(course, counts=6 * course.counts) for course in SEEN]
 RULES = TrialRules(tiers=("supporting",) * len(SEEN))
 BUDGET = 20 * len(SEEN)
 
@@ -50,18 +50,19 @@ def few(counts: list[list[int]], *tiers: str) -> tuple[list[SceneCounts], TrialR
 @pytest.mark.parametrize("baseline", [HURDLES, ALL])
 @pytest.mark.parametrize("against", ["fresh", "panel", "control"])
 def test_the_operating_curve_is_near_the_gates_that_were_recorded(baseline, against):
-    # Those draw scores from the starts of the bank, with a fall that is the same for all waypoints
-    # and not for their odds: shares may differ by more than two simulations do, which is 3 points.
+    # Those draw scores from the starts of the baseline, with a fall that is the same for all
+    # waypoints and not for their odds: shares may differ by more than two simulations do, which is
+    # 3 points.
     cells = {
         cell.drop: found
         for cell, found in recorded_cells()
         if (cell.question, cell.kind, cell.alpha_regr) == ("power", "harder", 0.01)
         and (cell.baseline, cell.claim) == (baseline, against)
     }
-    start = outset(bank_of(baseline))
+    start = outset(reference_of(baseline))
     tiers = ("supporting",) * start.scenes
     if against == "fresh" and start.rules.tiers == tiers:  # As on the page.
-        points = [point for point in curve(bank_of(baseline)) if point.drop in cells]
+        points = [point for point in curve(reference_of(baseline)) if point.drop in cells]
     else:
         rules, drops = replace(start.rules, tiers=tiers), tuple(cells)
         points = operating_curve(
@@ -93,7 +94,7 @@ def test_the_page_sums_up_the_recorded_gates():
 
 
 def test_one_scene_of_sixteen_that_falls_to_half_passes_or_convicts_as_the_page_says():
-    start, scene = outset(bank_of(HURDLES)), 14
+    start, scene = outset(reference_of(HURDLES)), 14
     drawn = draw(
         start.seen,
         starts=None,
@@ -108,7 +109,7 @@ def test_one_scene_of_sixteen_that_falls_to_half_passes_or_convicts_as_the_page_
     trials = drawn.trials(chances)
     assert trials.candidate[trials.scenes == scene].mean() == pytest.approx(0.5, abs=0.01)
     tiers = ["supporting"] * 16
-    decisions = settle_all(drawn.bank, trials, TrialRules(tiers=tuple(tiers)))
+    decisions = settle_all(drawn.reference, trials, TrialRules(tiers=tuple(tiers)))
     assert np.mean([decision.word == "PASS" for decision in decisions]) == pytest.approx(
         0.91, abs=0.02
     )
@@ -117,24 +118,24 @@ def test_one_scene_of_sixteen_that_falls_to_half_passes_or_convicts_as_the_page_
     )
     assert np.mean([decision.trials for decision in decisions]) == pytest.approx(118, rel=0.03)
     tiers[scene] = "critical"
-    decisions = settle_all(drawn.bank, trials, TrialRules(tiers=tuple(tiers)))
+    decisions = settle_all(drawn.reference, trials, TrialRules(tiers=tuple(tiers)))
     flagged = np.mean([decision.word == "REGRESSED" for decision in decisions])
     assert flagged == pytest.approx(0.66, abs=0.03)
 
 
-def test_the_same_bank_gives_the_same_curve_and_another_one_other_draws():
+def test_the_same_baseline_gives_the_same_curve_and_another_one_other_draws():
     one, again = (
-        operating_curve(BANK, RULES, budget=BUDGET, drops=(0.05,), repetitions=200)
+        operating_curve(REFERENCE, RULES, budget=BUDGET, drops=(0.05,), repetitions=200)
         for _ in range(2)
     )
     assert one == again
-    other = operating_curve(BANK[::-1], RULES, budget=BUDGET, drops=(0.05,), repetitions=200)
+    other = operating_curve(REFERENCE[::-1], RULES, budget=BUDGET, drops=(0.05,), repetitions=200)
     assert other != one
     assert other[0].regressed == pytest.approx(one[0].regressed, abs=0.15)
 
 
 def test_a_larger_drop_is_convicted_sooner_and_passed_less_often():
-    points = operating_curve(BANK, RULES, budget=BUDGET, repetitions=300)
+    points = operating_curve(REFERENCE, RULES, budget=BUDGET, repetitions=300)
     assert [point.drop for point in points][:3] == [0.0, 0.01, 0.02]
     assert points[-1].drop == 0.30
     # Every drop meets the same luck. A scene that is named holds back a PASS no longer, and one
@@ -147,26 +148,26 @@ def test_a_larger_drop_is_convicted_sooner_and_passed_less_often():
     assert points[3].trials > 64
 
 
-def test_a_bank_that_is_known_and_one_that_is_drawn_from_it_give_nearly_one_curve():
-    known = operating_curve(BANK, RULES, budget=BUDGET, drops=(0.0, 0.06, 0.12))
-    drawn = operating_curve(BANK, RULES, budget=BUDGET, drops=(0.0, 0.06, 0.12), starts=60)
+def test_a_baseline_that_is_known_and_one_that_is_drawn_from_it_give_nearly_one_curve():
+    known = operating_curve(REFERENCE, RULES, budget=BUDGET, drops=(0.0, 0.06, 0.12))
+    drawn = operating_curve(REFERENCE, RULES, budget=BUDGET, drops=(0.0, 0.06, 0.12), starts=60)
     for one, other in zip(known, drawn, strict=True):
         assert one.regressed == pytest.approx(other.regressed, abs=0.1)
         assert one.trials == pytest.approx(other.trials, rel=0.2)
 
 
 def test_the_simulated_policy_has_the_drop_that_was_asked_for():
-    drawn = draw(BANK, starts=None, budget=BUDGET, repetitions=200)
-    assert drawn.baseline.mean() == pytest.approx(success_of(BANK), abs=0.005)
+    drawn = draw(REFERENCE, starts=None, budget=BUDGET, repetitions=200)
+    assert drawn.baseline.mean() == pytest.approx(success_of(REFERENCE), abs=0.005)
     for drop in (0.0, 0.1, 0.3):
-        trials = drawn.trials(chances_of(BANK, success_of(BANK) - drop))
-        assert success_of(BANK) - trials.candidate.mean() == pytest.approx(drop, abs=0.005)
+        trials = drawn.trials(chances_of(REFERENCE, success_of(REFERENCE) - drop))
+        assert success_of(REFERENCE) - trials.candidate.mean() == pytest.approx(drop, abs=0.005)
 
 
 def test_a_worse_policy_does_no_better_in_any_trial():
-    drawn, mean = draw(BANK, starts=None, budget=BUDGET, repetitions=50), success_of(BANK)
+    drawn, mean = draw(REFERENCE, starts=None, budget=BUDGET, repetitions=50), success_of(REFERENCE)
     drops = (0.0, 0.05, 0.2)
-    better, worse, worst = (drawn.trials(chances_of(BANK, mean - drop)) for drop in drops)
+    better, worse, worst = (drawn.trials(chances_of(REFERENCE, mean - drop)) for drop in drops)
     assert (better.candidate >= worse.candidate).all()
     assert (worse.candidate >= worst.candidate).all()
     assert (better.scenes == worst.scenes).all()
@@ -188,14 +189,14 @@ def test_scenes_and_starts_are_one_random_draw_without_replacement():
 def test_what_a_gate_speaks_of_decides_what_its_evidence_takes_for_given():
     kinds = ("fresh", "panel", "control")
     fresh, panel, control = (
-        draw(BANK, starts=None, budget=BUDGET, repetitions=5, against=against).bank
+        draw(REFERENCE, starts=None, budget=BUDGET, repetitions=5, against=against).reference
         for against in kinds
     )
     assert (fresh.starts, panel.starts, control.paired) == (np.inf, 60, True)
     points = [
-        operating_curve(BANK, RULES, budget=BUDGET, drops=(0.0,), repetitions=100, against=against)[
-            0
-        ]
+        operating_curve(
+            REFERENCE, RULES, budget=BUDGET, drops=(0.0,), repetitions=100, against=against
+        )[0]
         for against in kinds
     ]
     # A finite panel is settled sooner than fresh starts are, and these than a difference of two.
@@ -224,7 +225,7 @@ def test_a_critical_scene_convicts_alone():
     drawn = draw(seen, starts=None, budget=160, repetitions=300)
     lenient, severe = (
         settle_all(
-            drawn.bank,
+            drawn.reference,
             drawn.trials(chances),
             replace(each, margins=Margins(max_drop=0.3, tolerate=0.2)),
         )
@@ -235,7 +236,7 @@ def test_a_critical_scene_convicts_alone():
 
 
 def test_progress_says_how_many_trials_convict_a_drop_or_that_none_do():
-    found = progress_at(BANK, RULES, 0.10)
+    found = progress_at(REFERENCE, RULES, 0.10)
     assert len(found.settled) == 60 * 16
     assert list(found.settled) == sorted(found.settled)
     assert found.settled[-1] == pytest.approx(1.0)
@@ -245,19 +246,19 @@ def test_progress_says_how_many_trials_convict_a_drop_or_that_none_do():
     assert 4 * 16 < eighty < ninety < 20 * 16
     assert found.regressed[eighty - 1] >= 0.8 > found.regressed[eighty - 2]
     # What lies between the margins passes too often for that.
-    small = progress_at(BANK, RULES, 0.05)
+    small = progress_at(REFERENCE, RULES, 0.05)
     assert trials_for(small.regressed, 0.8) is None
     assert small.passed[-1] > 0.5
 
 
 def test_progress_after_the_budget_is_the_curve():
-    (point,) = operating_curve(BANK, RULES, budget=960, drops=(0.06,), repetitions=200)
-    found = progress_at(BANK, RULES, 0.06, repetitions=200)
+    (point,) = operating_curve(REFERENCE, RULES, budget=960, drops=(0.06,), repetitions=200)
+    found = progress_at(REFERENCE, RULES, 0.06, repetitions=200)
     assert found.passed[-1] == pytest.approx(point.passed)
     assert found.regressed[-1] == pytest.approx(point.regressed)
 
 
-def test_scenes_of_unequal_numbers_of_starts_are_no_bank():
+def test_scenes_of_unequal_numbers_of_starts_are_no_baseline():
     seen, rules = few([[0, 10], [0, 12]])
     with pytest.raises(ValueError, match="10 to 12 starts are no baseline"):
         operating_curve(seen, rules, budget=20)

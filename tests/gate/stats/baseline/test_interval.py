@@ -13,9 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from nw_gate.stats.bank.evidence import Bank, Margins
-from nw_gate.stats.bank.interval import drop_interval_after, drops_ruled_out, scene_drop_intervals
-from nw_gate.stats.bank.trials import DrawnTrials, looks
+from nw_gate.stats.baseline.evidence import Margins, Reference
+from nw_gate.stats.baseline.interval import (
+    drop_interval_after,
+    drops_ruled_out,
+    scene_drop_intervals,
+)
+from nw_gate.stats.baseline.trials import DrawnTrials, looks
 from nw_gate.stats.interval import Interval
 
 shares = st.sampled_from([0.0, 0.25, 1 / 3, 0.5, 0.8, 1.0])
@@ -25,10 +29,10 @@ campaigns = st.tuples(st.integers(1, 4), st.integers(1, 12)).flatmap(
 claims = st.sampled_from(["panel", "fresh", "control"])
 
 
-def bank_of(scores: np.ndarray, claim: str) -> Bank:
+def reference_of(scores: np.ndarray, claim: str) -> Reference:
     if claim == "control":
-        return Bank.control(len(scores))
-    return Bank.of(scores) if claim == "panel" else Bank.of(scores).fresh()
+        return Reference.control(len(scores))
+    return Reference.of(scores) if claim == "panel" else Reference.of(scores).fresh()
 
 
 def in_order(baseline: np.ndarray, candidate: np.ndarray, seed: int = 0) -> DrawnTrials:
@@ -52,11 +56,11 @@ def test_pass_is_a_high_end_below_the_margin_and_regressed_a_low_end_above_it(
 ):
     if scores[0].mean() <= margin + 1e-6:
         return  # No policy can be so much worse.
-    bank, trials = bank_of(scores[0], claim), in_order(scores[0], scores[1])
+    reference, trials = reference_of(scores[0], claim), in_order(scores[0], scores[1])
     for count in {1, (scores[0].size + 1) // 2, scores[0].size}:
         seen = first(trials, count)
-        found = drop_interval_after(bank, seen, alpha_pass=0.2, alpha_regr=0.2)
-        last = looks(bank, seen, Margins(max_drop=margin, tolerate=margin))
+        found = drop_interval_after(reference, seen, alpha_pass=0.2, alpha_regr=0.2)
+        last = looks(reference, seen, Margins(max_drop=margin, tolerate=margin))
         passes, flags = last.passed[-1] >= 5.0, last.regressed[-1] >= 5.0
         if not (passes and flags):
             assert found.high <= margin + 1e-7 if passes else found.high >= margin - 1e-7
@@ -67,9 +71,9 @@ def test_pass_is_a_high_end_below_the_margin_and_regressed_a_low_end_above_it(
 @given(campaigns, claims)
 def test_better_trials_never_move_an_end_up(scores, claim):
     alphas = {"alpha_pass": 0.2, "alpha_regr": 0.2}
-    bank = bank_of(scores[0], claim)
-    worse = drop_interval_after(bank, in_order(scores[0], scores[1]), **alphas)
-    better = drop_interval_after(bank, in_order(scores[0], scores[1:].max(axis=0)), **alphas)
+    reference = reference_of(scores[0], claim)
+    worse = drop_interval_after(reference, in_order(scores[0], scores[1]), **alphas)
+    better = drop_interval_after(reference, in_order(scores[0], scores[1:].max(axis=0)), **alphas)
     assert better.low <= worse.low + 1e-7
     assert better.high <= worse.high + 1e-7
 
@@ -77,19 +81,21 @@ def test_better_trials_never_move_an_end_up(scores, claim):
 def test_without_trials_every_drop_is_possible_and_with_all_of_the_panel_hardly_any():
     rng = np.random.default_rng(8)
     baseline, candidate = rng.integers(0, 6, (2, 6, 40)) / 5
-    bank, trials = Bank.of(baseline), in_order(baseline, candidate)
+    reference, trials = Reference.of(baseline), in_order(baseline, candidate)
     mean = baseline.mean()
-    assert drop_interval_after(bank, first(trials, 0)) == pytest.approx((mean - 1.0, mean))
-    assert drop_interval_after(Bank.control(6), first(trials, 0)) == (-1.0, 1.0)
+    assert drop_interval_after(reference, first(trials, 0)) == pytest.approx((mean - 1.0, mean))
+    assert drop_interval_after(Reference.control(6), first(trials, 0)) == (-1.0, 1.0)
     drop = mean - candidate.mean()
-    assert drop_interval_after(bank, trials) == pytest.approx((drop, drop), abs=0.01)
+    assert drop_interval_after(reference, trials) == pytest.approx((drop, drop), abs=0.01)
     half = first(trials, 120)
-    some = drop_interval_after(bank, half)
-    wider = drop_interval_after(bank, half, alpha_pass=0.001, alpha_regr=0.001)
+    some = drop_interval_after(reference, half)
+    wider = drop_interval_after(reference, half, alpha_pass=0.001, alpha_regr=0.001)
     assert wider.low < some.low < drop < some.high < wider.high
     assert some.high - some.low < 0.4
     # Of fresh starts as many say less, the control's own luck makes it less still.
-    fresh, beside = (drop_interval_after(x, half) for x in (bank.fresh(), Bank.control(6)))
+    fresh, beside = (
+        drop_interval_after(x, half) for x in (reference.fresh(), Reference.control(6))
+    )
     assert fresh.low < some.low
     assert some.high < fresh.high < beside.high
     assert beside.low < fresh.low
@@ -101,17 +107,20 @@ def test_a_missing_trial_widens_it_on_both_sides_and_one_of_the_control_does_too
     gap, hole = candidate.copy(), baseline.copy()
     gap[1, 3] = hole[2, 5] = nan
 
-    def interval(bank: Bank, b: np.ndarray, c: np.ndarray) -> Interval:
-        return drop_interval_after(bank, in_order(b, c))
+    def interval(reference: Reference, b: np.ndarray, c: np.ndarray) -> Interval:
+        return drop_interval_after(reference, in_order(b, c))
 
     def filled(scores: np.ndarray, value: float) -> np.ndarray:
         return np.where(np.isnan(scores), value, scores)
 
-    bank, beside = Bank.of(baseline), Bank.control(4)
+    reference, beside = Reference.of(baseline), Reference.control(4)
     best, worst = filled(gap, 1.0), filled(gap, 0.0)
-    found = interval(bank, baseline, gap)
-    assert found == (interval(bank, baseline, best).low, interval(bank, baseline, worst).high)
-    assert found.low < interval(bank, baseline, worst).low
+    found = interval(reference, baseline, gap)
+    assert found == (
+        interval(reference, baseline, best).low,
+        interval(reference, baseline, worst).high,
+    )
+    assert found.low < interval(reference, baseline, worst).low
     paired = interval(beside, hole, gap)
     assert paired == (
         interval(beside, filled(hole, 0.0), best).low,
@@ -124,7 +133,7 @@ def test_over_all_orders_of_a_panel_each_end_errs_as_often_as_it_may(starts):
     baseline = np.array([[1.0, 1.0, 0.5], [1.0, 0.5, 0.0]])
     candidate = np.array([[1.0, 0.5, 0.0], [0.5, 1.0, 0.0]])
     drop, errors = baseline.mean() - candidate.mean(), np.zeros(2)
-    bank = Bank(means=baseline.mean(axis=1), starts=starts)
+    reference = Reference(means=baseline.mean(axis=1), starts=starts)
 
     @cache
     def after(order: tuple[tuple[int, int], ...]) -> Interval:
@@ -132,7 +141,7 @@ def test_over_all_orders_of_a_panel_each_end_errs_as_often_as_it_may(starts):
         trials = DrawnTrials(
             scenes=scenes, candidate=candidate[scenes, met], baseline=baseline[scenes, met]
         )
-        return drop_interval_after(bank, trials, alpha_pass=0.5, alpha_regr=0.4)
+        return drop_interval_after(reference, trials, alpha_pass=0.5, alpha_regr=0.4)
 
     # Looks after two trials and after four: the order of the last two changes neither.
     orders = list(permutations(product(range(2), range(3)), 4))
@@ -149,15 +158,15 @@ def test_over_all_orders_of_a_panel_each_end_errs_as_often_as_it_may(starts):
 
 @settings(deadline=None, max_examples=40)
 @given(campaigns, claims, st.integers(0, 48))
-def test_a_scene_alone_has_the_interval_of_a_bank_of_that_scene(scores, claim, count):
-    bank, trials = bank_of(scores[0], claim), in_order(scores[0], scores[1])
+def test_a_scene_alone_has_the_interval_of_a_baseline_of_that_scene(scores, claim, count):
+    reference, trials = reference_of(scores[0], claim), in_order(scores[0], scores[1])
     seen = first(trials, min(count, scores[0].size))
-    together = scene_drop_intervals(bank, seen)
+    together = scene_drop_intervals(reference, seen)
     assert len(together) == len(scores[0])
     for scene, found in enumerate(together):
         own = seen.at(np.flatnonzero(seen.scenes == scene).tolist())
         alone = drop_interval_after(
-            bank_of(scores[0][[scene]], claim),
+            reference_of(scores[0][[scene]], claim),
             DrawnTrials(
                 scenes=np.zeros_like(own.scenes), candidate=own.candidate, baseline=own.baseline
             ),
@@ -170,28 +179,28 @@ def test_more_trials_than_pairs_of_a_scene_and_a_start_are_refused():
     ones = np.ones(7)
     trials = DrawnTrials(scenes=np.zeros(7, dtype=np.intp), candidate=ones, baseline=ones)
     with pytest.raises(ValueError, match="7"):
-        drop_interval_after(Bank(means=np.ones(2), starts=3), trials)
+        drop_interval_after(Reference(means=np.ones(2), starts=3), trials)
 
 
 def scores(
     rng: np.random.Generator, scenes: int, change: float, *, spread: float = 0.06, rounds: int = 20
-) -> tuple[Bank, DrawnTrials]:
+) -> tuple[Reference, DrawnTrials]:
     """Return a baseline of a score at .6 of its range, and trials that are worse by a change."""
     known = np.clip(0.6 + spread * rng.standard_normal((scenes, 60)), 0.0, 1.0)
     order = rng.permutation(known.size)[: rounds * scenes]
     found = np.clip(0.6 - change + spread * rng.standard_normal(len(order)), 0.0, 1.0)
     trials = DrawnTrials(scenes=order // 60, candidate=found, baseline=known.ravel()[order])
-    return Bank.of(known).fresh(), trials
+    return Reference.of(known).fresh(), trials
 
 
 def test_bets_that_learn_see_a_change_of_five_times_what_is_tolerated():
     """Source: simulation with three gated scores, 2 scenes x 20: 39 to 45 % before, 100 % with."""
     rng, seen = np.random.default_rng(5), {False: 0, True: 0}
     for _ in range(60):
-        bank, trials = scores(rng, 2, 0.15)
+        reference, trials = scores(rng, 2, 0.15)
         for learns in seen:
             small, _ = drops_ruled_out(
-                bank, trials, (0.03, 0.15), alpha_pass=0.05, alpha_regr=0.01 / 4, learns=learns
+                reference, trials, (0.03, 0.15), alpha_pass=0.05, alpha_regr=0.01 / 4, learns=learns
             )
             seen[learns] += small
     assert seen[True] >= 54
@@ -214,11 +223,11 @@ def test_bets_that_learn_err_no_more_often_than_they_say(spread):
 @pytest.mark.parametrize("learns", [False, True])
 def test_what_is_ruled_out_lies_beside_the_interval(learns):
     rng = np.random.default_rng(7)
-    bank, trials = scores(rng, 3, 0.08)
+    reference, trials = scores(rng, 3, 0.08)
     alphas = {"alpha_pass": 0.05, "alpha_regr": 0.01, "learns": learns}
-    low, high = drop_interval_after(bank, trials, **alphas)
+    low, high = drop_interval_after(reference, trials, **alphas)
     for away, beside in ((1e-4, True), (-1e-4, False)):
-        found = drops_ruled_out(bank, trials, (low - away, high + away), **alphas)
+        found = drops_ruled_out(reference, trials, (low - away, high + away), **alphas)
         assert found == (beside, beside)
 
 

@@ -1,6 +1,6 @@
 """The tables and the picture of docs/concepts/power.md that are simulated.
 
-`python tests/gate/stats/bank/record_gate_page.py` writes them anew; tests hold them against the
+`python tests/gate/stats/baseline/record_gate_page.py` writes them anew; tests hold them against the
 code.
 """
 
@@ -21,17 +21,17 @@ from gate_cells import (
     STUDENTS,
     Cell,
     Found,
-    bank_of,
+    baseline_of,
     recorded_cells,
 )
 
 from nw_eval.reporting.pictures import draw_curve
 from nw_eval.suite.load import load_suite
-from nw_gate.baseline.power_forecast import Outset, outset_of_bank
-from nw_gate.results.bank_file import read_bank
-from nw_gate.stats.bank.baseline_bets import _solve
-from nw_gate.stats.bank.curve import CurvePoint, chances_of, draw, operating_curve
-from nw_gate.stats.bank.trials import TrialRules, settle_all
+from nw_gate.baseline.power_forecast import Outset, outset_of_baseline
+from nw_gate.results.baseline_file import read_baseline
+from nw_gate.stats.baseline.baseline_bets import _solve
+from nw_gate.stats.baseline.curve import CurvePoint, chances_of, draw, operating_curve
+from nw_gate.stats.baseline.trials import TrialRules, settle_all
 from nw_gate.stats.power import ends
 
 ROOT = Path(__file__).parents[4]
@@ -67,7 +67,7 @@ NAMES = {
 def outset(name: str) -> Outset:
     """Return the outset of a shipped suite's gate against one of its committed baselines."""
     gate = load_suite(ROOT / "suites" / f"{name.partition('/')[0]}.yaml").gate
-    return outset_of_bank(read_bank(BASELINES / f"{name}.parquet").panels[0], gate)
+    return outset_of_baseline(read_baseline(BASELINES / f"{name}.parquet").panels[0], gate)
 
 
 @cache
@@ -121,7 +121,7 @@ def trials_at(name: str, drop: float) -> tuple[float, float, float]:
     trials = list[float]()
     for bets in (None, margins):
         drawn = draw(**given, margins=bets)
-        decisions = settle_all(drawn.bank, drawn.trials(chances), rules)
+        decisions = settle_all(drawn.reference, drawn.trials(chances), rules)
         trials.append(float(np.mean([decision.trials for decision in decisions])))
     k = np.array([len(course.counts) - 1 for course in start.seen])
     results = np.zeros((start.scenes, k.max() + 1))
@@ -226,10 +226,10 @@ if __name__ == "__main__":
     ):
         text = _with_table(text, heading, lines)
     PAGE.write_text(text, encoding="utf-8")
-    whole = outset(bank_of(HURDLES))
+    whole = outset(baseline_of(HURDLES))
     draw_curve(
         whole.curve(),
         PICTURE,
         margins=whole.rules.margins,
-        title=f"{bank_of(HURDLES)}, success {whole.baseline:.3f}: {whole.in_words}",
+        title=f"{baseline_of(HURDLES)}, success {whole.baseline:.3f}: {whole.in_words}",
     )
