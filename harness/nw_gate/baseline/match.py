@@ -232,7 +232,7 @@ def claim_of(
 
 
 def check_starts(baseline: BaselineResults, gate: Gate, run: RunInfo) -> None:
-    """Refuse a baseline whose sample is too small for a claim about new starts.
+    """Refuse a baseline whose sample is too small for a claim about new initial states.
 
     Raises:
         IncomparableError: naming the command that saves more.
@@ -478,7 +478,7 @@ def recheck(rows: Sequence[Row], run: RunInfo, baseline: BaselineResults) -> Rec
         baseline: to compare with.
 
     Raises:
-        StoreError: a row is of no start of the baseline.
+        StoreError: a row is of no initial state of the baseline.
     """
     seen = baseline.panel_of(machine_of(run))
     done = [row for row in rows if row.status == "ok"]
@@ -523,7 +523,7 @@ def contradictions(rows: Iterable[Row], baseline: BaselineResults, panel: Panel)
         panel: of it.
 
     Raises:
-        StoreError: a row is of no start of the baseline.
+        StoreError: a row is of no initial state of the baseline.
     """
     same = [row for row in rows if trajectory(row) == _start_of(row, panel).trajectory]
     found = differences(same, panel)
@@ -542,7 +542,7 @@ def differences(rows: Iterable[Row], panel: Panel) -> tuple[str, ...]:
         panel: what the baseline says.
 
     Raises:
-        StoreError: a row is of no start of the baseline.
+        StoreError: a row is of no initial state of the baseline.
     """
     found: list[tuple[Start, str]] = []
     for row in rows:

@@ -213,7 +213,7 @@ def test_what_a_drop_is_due_to_is_found_in_the_very_trials_of_the_run():
     assert set(api.read_rows(first.out / "old-control-old-sight" / "run").trial_id) == set(
         ordered[:2]
     )
-    with pytest.raises(UsageError, match="drew its starts from the 4 of a baseline"):
+    with pytest.raises(UsageError, match="drew its initial states from the 4 of a baseline"):
         api.find_cause(Path("run"), baseline="shipped", policy="go1-parkour", trials=5)
     with pytest.raises(IncomparableError, match="chose its initial states from another run"):
         api.run(resume=first.out / "old-control-old-sight" / "run")
