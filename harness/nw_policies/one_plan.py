@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_policies.executor import Program
-from nw_policies.executor.joining import Joined, Link, joined
+from nw_policies.executor.joining import Link, joined
 from nw_policies.executor.network import Network
 from nw_policies.executor.program import Rows
 from nw_policies.policy import Observation
@@ -78,8 +78,8 @@ class OnePlan:
         """Networks whose feeders ran since they did."""
         for number, network in enumerate(networks):
             links += [Link(number, out, number, into) for into, out in network.fed.items()]
-        self._plan: Joined = joined(programs, tuple(links))
-        self._network = Network(self._plan.program)
+        program, self._steps = joined(programs, tuple(links))
+        self._network = Network(program)
         self._rows: dict[tuple[int, ...], Rows] = {}
         inputs, outputs = self._network.inputs, self._network.outputs
         self._parts: list[list[_Part]] = [[] for _ in networks]
@@ -149,7 +149,7 @@ class OnePlan:
     def _run(self, which: tuple[int, ...]) -> None:
         rows = self._rows.get(which)
         if rows is None:
-            rows = self._rows[which] = np.concatenate([self._plan.parts[n] for n in which])
+            rows = self._rows[which] = np.concatenate([self._steps[n] for n in which])
         self._network.run(rows)
 
     def given(self) -> dict[str, Array]:

@@ -10,7 +10,7 @@ import onnxruntime
 import pytest
 
 from nw_policies.executor import Program, planning
-from nw_policies.executor.joining import Joined, Link, joined, moved
+from nw_policies.executor.joining import Link, joined, moved
 from nw_policies.executor.network import Network
 from nw_policies.executor.plan import plan
 from nw_policies.executor.program import (
@@ -61,14 +61,14 @@ def test_a_network_is_near_to_onnxruntime_s(perceptron, graph_of):
 def pair(perceptron, graph_of):
     """A perceptron, and another one whose input begins with what the first one gives."""
     one, other = plan(graph_of(perceptron)), plan(graph_of(perceptron))
-    return joined((one, other), (Link(0, "action", 1, "obs", first=5),))
+    return joined((one, other), (Link(0, "action", 1, "obs", first=5),))[0]
 
 
 @pytest.mark.parametrize("model", ["perceptron", "eye", "pair"])
 def test_no_mutant_that_passes_the_check_touches_anything_outside(model, request, graph_of):
     found = request.getfixturevalue(model)
-    if isinstance(found, Joined):
-        program = found.program
+    if isinstance(found, Program):
+        program = found
     else:
         program = plan(graph_of(found() if callable(found) else found))
     rng = np.random.default_rng(3)
@@ -98,7 +98,7 @@ def test_no_mutant_that_passes_the_check_touches_anything_outside(model, request
 
 
 def test_joined_programs_give_what_they_give_apart(pair, perceptron, graph_of):
-    alone, both = Network(plan(graph_of(perceptron))), Network(pair.program)
+    alone, both = Network(plan(graph_of(perceptron))), Network(pair)
     rng = np.random.default_rng(8)
     first, rest = (rng.normal(0, 1, (1, 48)).astype(np.float32) for _ in range(2))
     given = alone({"obs": first})["action"].copy()
