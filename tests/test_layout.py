@@ -152,7 +152,7 @@ MOST = {
         ("nw_eval", "nw_learn", "nw_sim"),
     ),
     "nw_policies": Figures(
-        22678,
+        23120,  # Encoder and policy in one plan.
         9,
         ("nw_eval", "nw_learn", "nw_sim"),
     ),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, assert_never
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, assert_never, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,19 @@ from nw_policies.cards.joint_control import Action
 from nw_policies.cards.networks import NetworkAdapter, NetworkOutput, input_parts
 from nw_policies.cards.observations import selected_indices
 from nw_policies.planned import PlannedNetwork
-from nw_policies.policy import Observation, OpenNetwork, Policy, Wanted, unfitting, unpacked
+from nw_policies.policy import (
+    ActingNetwork,
+    Observation,
+    OpenNetwork,
+    Policy,
+    Wanted,
+    unfitting,
+    unpacked,
+)
+
+if TYPE_CHECKING:
+    from nw_policies.one_plan import OnePlan
+    from nw_policies.onnx import OnnxNetwork
 
 Array = NDArray[Any]
 
@@ -42,11 +55,24 @@ class FedPolicy:
         self._name = bundle.name
         self.policy = policy
         self.feeders = tuple(
-            _Feeder(bundle, name, allow_code=allow_code) for name in feeding_order(bundle.card)
+            Feeder(bundle, name, allow_code=allow_code) for name in feeding_order(bundle.card)
         )
         self._actions = 0
-        self.held: dict[str, Array] = {}
+        self._held: dict[str, Array] = {}
+        self._plan: OnePlan | None = None
+        self._has_tried = False
+
+    @property
+    def held(self) -> dict[str, Array]:
         """By name, what the networks gave last."""
+        if self._plan is None or not self._actions:
+            return self._held
+        given = self._plan.given()
+        return {
+            name: _picked(name, output, given[name])
+            for feeder in self.feeders
+            for name, output in feeder.outputs.items()
+        }
 
     @property
     def inputs(self) -> tuple[InputSpec, ...]:
@@ -64,7 +90,7 @@ class FedPolicy:
             feeder.network.reset(seed)
         self.policy.reset(seed)
         self._actions = 0
-        self.held = {}
+        self._held = {}
 
     def act(self, observation: Observation) -> Action:
         """Ask the networks whose time has come, then the policy.
@@ -73,13 +99,41 @@ class FedPolicy:
             ActionError: a network gave inf or NaN, or as the policy.
             TrialError: a network, or the policy, failed otherwise.
         """
+        if not self._has_tried:
+            self._has_tried, self._plan = True, self._planned(observation)
+        if self._plan is not None:
+            raw = self._plan.run(observation, self._actions)
+            if raw is not None:
+                self._actions += 1
+                return cast("ActingNetwork", self.policy).action(raw)
+            self._held, self._plan = self.held, None
         inputs = dict(observation)
         for feeder in self.feeders:
             if self._actions % feeder.every == 0:
-                self.held |= feeder.run(inputs)
-            inputs |= {name: self.held[name] for name in feeder.outputs}
+                self._held |= feeder.run(inputs)
+            inputs |= {name: self._held[name] for name in feeder.outputs}
         self._actions += 1
         return self.policy.act(inputs)
+
+    def _planned(self, observation: Observation) -> OnePlan | None:
+        """Return all networks as one plan, where nw-eval runs ONNX graphs whose outputs are whole.
+
+        Others run one by one, and their numbers pass from one to the next as arrays.
+        """
+        own = getattr(self.policy, "network", None)
+        networks = [*(feeder.network for feeder in self.feeders), own]
+        are_planned = all(getattr(network, "program", None) is not None for network in networks)
+        if not are_planned or not all(feeder.gives_whole for feeder in self.feeders):
+            return None
+        from nw_policies.one_plan import OnePlan  # It knows numba.
+
+        try:
+            plan = OnePlan(self.feeders, cast("OnnxNetwork", own), observation)
+        except ValueError:
+            return None
+        if self._held:
+            plan.restore(self._held)
+        return plan
 
     def state(self) -> bytes:
         """Return what all of them remember, what is held, and how many actions there were."""
@@ -100,13 +154,16 @@ class FedPolicy:
                 feeder.network.restore(arrays.pop(f"network {feeder.name}").tobytes())
             self.policy.restore(arrays.pop("policy").tobytes())
             self._actions = int(arrays.pop("actions"))
-            self.held = {name.removeprefix("held "): array for name, array in arrays.items()}
+            self._held = {name.removeprefix("held "): array for name, array in arrays.items()}
         known = {name for feeder in self.feeders for name in feeder.outputs}
-        if self.held.keys() != (known if self._actions else set()):
-            raise unfitting(self._name, f"it holds {', '.join(self.held) or 'nothing'}")
+        if self._held.keys() != (known if self._actions else set()):
+            raise unfitting(self._name, f"it holds {', '.join(self._held) or 'nothing'}")
+        if self._plan is not None and self._held:
+            self._plan.restore(self._held)
 
     def close(self) -> None:
         """Close all of them."""
+        self._plan, self._has_tried = None, True
         for feeder in self.feeders:
             feeder.network.close()
         self.policy.close()
@@ -146,7 +203,7 @@ def _open_network(
             assert_never(adapter)
 
 
-class _Feeder:
+class Feeder:
     """One network in a trial, with the names under which others take what it gives."""
 
     def __init__(self, bundle: Bundle, name: str, *, allow_code: bool) -> None:
@@ -159,7 +216,7 @@ class _Feeder:
         wanted = [output.output for output in self.outputs.values()]
         self.network = _open_network(network.adapter, self.bundle, wanted, allow_code=allow_code)
         self._taken = [part for _, parts in input_parts(network.inputs) for part in parts]
-        self._is_function: bool = getattr(self.network, "is_function", False)
+        self.is_function: bool = getattr(self.network, "is_function", False)
         self._given: list[Array] = []
         self._gave: dict[str, Array] = {}
 
@@ -173,12 +230,11 @@ class _Feeder:
             NotFiniteError: an output is not finite.
             TrialError: it failed, or `select` or `scale` does not fit an output.
         """
-        given = [observation[name] for name in self._taken] if self._is_function else []
+        given = [observation[name] for name in self._taken] if self.is_function else []
         if self._gave and given and all(map(np.array_equal, self._given, given)):
             return self._gave
         found = self.named(self.network.run(observation))
-        for name, array in found.items():
-            self._check_finite(name, array)
+        self.check(found)
         self._given, self._gave = [array.copy() for array in given], found
         return found
 
@@ -189,14 +245,25 @@ class _Feeder:
             for (name, output), array in zip(self.outputs.items(), raw, strict=True)
         }
 
-    def _check_finite(self, name: str, array: Array) -> None:
-        if np.isfinite(array).all():
-            return
-        index = int(np.argmin(np.isfinite(array)))
-        raise NotFiniteError(
-            f"{self.bundle.subject} gave {array.flat[index]} for number {index} of `{name}`",
-            fix="check its file, and the observations' scales on the card",
-        )
+    @property
+    def gives_whole(self) -> bool:
+        """Whether the card takes its outputs as they are."""
+        return all(one.select is None and one.scale == 1.0 for one in self.outputs.values())
+
+    def check(self, outputs: Mapping[str, Array]) -> None:
+        """Check outputs, by the names under which others take them.
+
+        Raises:
+            NotFiniteError: one is not finite.
+        """
+        for name, array in outputs.items():
+            if np.isfinite(array).all():
+                continue
+            index = int(np.argmin(np.isfinite(array)))
+            raise NotFiniteError(
+                f"{self.bundle.subject} gave {array.flat[index]} for number {index} of `{name}`",
+                fix="check its file, and the observations' scales on the card",
+            )
 
 
 def _picked(name: str, output: NetworkOutput, array: Array) -> Array:

@@ -66,17 +66,18 @@ class OnnxNetwork:
         runner = _Planned(bundle) if bundle.card.is_planned else _Native(bundle)
         self._runner: _Native | _Planned | None = runner
         specs, outputs = runner.inputs, runner.outputs
-        self._fed_by = _recurrent(bundle, specs, outputs)
-        self._recurrent = tuple(spec for spec in specs if spec.name in self._fed_by)
+        self.fed = _recurrent(bundle, specs, outputs)
+        self._recurrent = tuple(spec for spec in specs if spec.name in self.fed)
         self.is_function = not self._recurrent and not runner.draws
         """Whether equal inputs give equal outputs, whatever came before."""
         self._memory: Arrays = {}
-        self.inputs = tuple(spec for spec in specs if spec.name not in self._fed_by)
+        self._is_lent = False
+        self.inputs = tuple(spec for spec in specs if spec.name not in self.fed)
         try:
             self._assemble = InputAssembler(bundle.card, self.inputs)
         except PolicyError as error:
             raise PolicyError(f"{bundle.where}: {clean(error)}") from None
-        feeding = [self._fed_by[spec.name] for spec in self._recurrent]
+        feeding = [self.fed[spec.name] for spec in self._recurrent]
         names = [name for name in outputs if name not in feeding]
         if not names:
             raise PolicyError(
@@ -95,10 +96,29 @@ class OnnxNetwork:
 
     def reset(self, seed: int) -> None:  # noqa: ARG002 - nothing here is random.
         """Begin a trial: the recurrent state is zeros."""
-        self._memory = {
-            spec.name: np.zeros([1 if size is None else size for size in spec.shape], spec.dtype)
-            for spec in self._recurrent
-        }
+        self._remember(
+            {
+                spec.name: np.zeros([size or 1 for size in spec.shape], spec.dtype)
+                for spec in self._recurrent
+            }
+        )
+
+    @property
+    def program(self) -> Program | None:
+        """What it was planned into; None where onnxruntime runs it, or once it is closed."""
+        return self._runner.program if isinstance(self._runner, _Planned) else None
+
+    @property
+    def parts(self) -> tuple[tuple[InputSpec, tuple[str, ...]], ...]:
+        """Its inputs, with the observations that they are made of."""
+        return self._assemble.parts
+
+    def remember_in(self, memory: Mapping[str, NDArray[Any]]) -> None:
+        """Keep the recurrent state in arrays of somebody else's, who runs the graph from now on."""
+        for name, array in memory.items():
+            array[...] = self._memory[name]
+        self._memory = dict(memory)
+        self._is_lent = True
 
     def run(self, observation: Observation) -> tuple[NDArray[Any], ...]:
         """Run the graph once."""
@@ -110,8 +130,7 @@ class OnnxNetwork:
             results = self._runner.run(self._outputs, feeds)
         except Exception as error:
             raise TrialError(f"{self._subject} failed: {clean(error, at_most=200)}") from error
-        for spec in self._recurrent:
-            self._memory[spec.name] = results[self._fed_by[spec.name]]
+        self._remember({name: results[output] for name, output in self.fed.items()})
         return tuple(results[name] for name, _ in self.wanted)
 
     def recorded(self, observation: Observation) -> RecordedFile:  # noqa: ARG002 - it says its sizes.
@@ -136,7 +155,14 @@ class OnnxNetwork:
             found = {name: (array.shape, array.dtype) for name, array in arrays.items()}
             if found != {name: (array.shape, array.dtype) for name, array in self._memory.items()}:
                 raise unfitting(self._name, f"it has {found}")
-            self._memory = arrays
+            self._remember(arrays)
+
+    def _remember(self, memory: Arrays) -> None:
+        if not self._is_lent:
+            self._memory = memory
+            return
+        for name, array in memory.items():
+            self._memory[name][...] = array
 
     def close(self) -> None:
         """Free the graph."""
@@ -169,6 +195,7 @@ class _Planned:
 
         known = bundle.programs.get(bundle.network) or planned_file(bundle)
         ((_, program),) = known.parts
+        self.program = program
         self._network = Network(program)
         self.inputs = tuple(
             InputSpec(name=name, shape=slot.shape, dtype=np.dtype(slot.dtype))

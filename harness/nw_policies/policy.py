@@ -292,6 +292,14 @@ class ActingNetwork:
             TrialError: the network failed.
         """
         (raw,) = self.network.run(observation)
+        return self.action(raw)
+
+    def action(self, raw: NDArray[Any]) -> Action:
+        """Return the network's output as an action.
+
+        Raises:
+            ActionError: it is none.
+        """
         return checked_action(raw, joints=self._joints, policy=self._policy)
 
     def state(self) -> bytes:
@@ -320,7 +328,8 @@ class InputAssembler:
         Raises:
             PolicyError: the card and the checkpoint name other inputs.
         """
-        self._parts = resolve_inputs(card, specs)
+        # Inputs, with the names of the observations that make them.
+        self.parts = resolve_inputs(card, specs)
 
     def __call__(self, observation: Observation) -> dict[str, NDArray[Any]]:
         """Return the inputs of a checkpoint that declares them, by name, with a batch axis of 1.
@@ -328,7 +337,7 @@ class InputAssembler:
         Each has memory of its own, which no other input, step or log shares: networks normalise
         their inputs in place (`obs.clamp_(...)`), and a sensor shows one sample at several steps.
         """
-        return {spec.name: _joined(spec, names, observation) for spec, names in self._parts}
+        return {spec.name: _joined(spec, names, observation) for spec, names in self.parts}
 
     def in_order(self, observation: Observation) -> list[NDArray[Any] | list[NDArray[Any]]]:
         """Return the same for one that declares none, in the card's order, and lists as lists."""
@@ -336,7 +345,7 @@ class InputAssembler:
             [_joined(spec, (name,), observation) for name in names]
             if spec.is_list
             else _joined(spec, names, observation)
-            for spec, names in self._parts
+            for spec, names in self.parts
         ]
 
 

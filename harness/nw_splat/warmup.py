@@ -91,7 +91,7 @@ def _warm_insertion() -> None:
         )
     of_light = ((1.0, 1.0, 1.0), 1.0, 1.0, 1.0, 1.0)
     insert.light_at(cells[..., :3] / 1.0, (4, 4), numbers, numbers, of_light, colour)
-    insert.near_any(lines, lines, np.ones(16), numbers)
+    insert.near_any(lines, lines, lines[0], 1.0, numbers)
     insert.outline(values > 0.0, numbers)
     insert.rays_around(lines, numbers[:1], lines, lines.copy())
     insert.soften(np.ones(16), colour, numbers[:1], np.ones(16), colour, line)

@@ -4,6 +4,7 @@ graph.py       operators with named inputs and outputs
 program.py     what a network computes, as rows of whole numbers, and the check of them
 plan.py        plans a graph
 network.py     runs a program
+joining.py     several programs in one arena
 planning.py    gives values their floats in one arena, and operators their rows
 moves.py, arithmetic.py, products.py, recurrent.py    what each operator becomes
 views.py       offset, shape and strides

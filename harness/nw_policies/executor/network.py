@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_policies.executor.kernels import run
-from nw_policies.executor.program import Floats, Program, Slot
+from nw_policies.executor.program import Floats, Program, Rows, Slot
 
 
 class Network:
@@ -54,5 +54,13 @@ class Network:
             if given.shape != array.shape:
                 raise ValueError(f"`{name}` has the shape {given.shape}, not {array.shape}")
             array[...] = given
-        run(self._arena, self._rows, self._scratch)
+        self.run(self._rows)
         return self.outputs
+
+    def run(self, rows: Rows) -> None:
+        """Run some of the program's rows on what its inputs hold.
+
+        Args:
+            rows: (n, WIDTH), in one piece of memory.
+        """
+        run(self._arena, rows, self._scratch)

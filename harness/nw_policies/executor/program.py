@@ -317,3 +317,8 @@ _ROWS = (
     _scaled,
 )  # fmt: skip
 """By operation, as they are numbered above."""
+OFFSETS = (
+    (1, 8, 9, 11), (1, 6), (18, 19, 20), (2, 3, 5), (14, 15), (1, 4, 5, 6, 7), (1, 4), (2, 5),
+    (22, 23, 24, 25), (15, 16), (18, 19, 20, 22),
+)  # fmt: skip
+"""Fields of a row that are offsets in the arena, by operation."""

@@ -252,7 +252,7 @@ class View:
             return None
         return self._traced(mount.lens(self.spec.width, self.spec.height))
 
-    @property
+    @cached_property
     def _size(self) -> tuple[int, int]:
         """Rows and columns behind the wrappers, as far as those are ours."""
         seen = self._traced(Intrinsics.from_fovy(self.spec.width, self.spec.height, 1.0))
@@ -288,7 +288,7 @@ class View:
                     assert_never(wrapper)
         return seen
 
-    @property
+    @cached_property
     def _in_colour(self) -> bool:
         if any(isinstance(wrapper, wrappers.Grayscale) for wrapper in self.spec.wrap):
             return False
@@ -297,7 +297,7 @@ class View:
             return spec.values == "colors"
         return isinstance(spec, SplatRgbObservation)
 
-    @property
+    @cached_property
     def _frames(self) -> int:
         """How many samples an observation holds."""
         stacks = [

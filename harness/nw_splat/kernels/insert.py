@@ -203,18 +203,26 @@ def light_at(cells: Any, size: Any, row: Any, column: Any, numbers: Any, light: 
 
 
 @kernel
-def near_any(rays: Any, towards: Any, least: Any, found: Any) -> Any:
-    """Note the rays whose cosine with one of some directions is above its limit; return how many.
+def near_any(rays: Any, middles: Any, origin: Any, radius: Any, found: Any) -> Any:
+    """Note the rays from one point that come as near to one of some middles; return how many.
 
     Args:
         rays: (N, 3) float64 unit vectors.
-        towards: (K, 3) float64 unit vectors.
-        least: (K,) float64 cosines.
+        middles: (K, 3) float64.
+        origin: (3,) float64; within the radius of a middle, every ray is near.
+        radius: what is near.
         found: (N,) int64, out: numbers of rays.
     """
     near = np.zeros(len(rays), np.bool_)
-    for k in range(len(towards)):
-        x, y, z, limit = towards[k, 0], towards[k, 1], towards[k, 2], least[k]
+    for k in range(len(middles)):
+        x, y, z = middles[k, 0] - origin[0], middles[k, 1] - origin[1], middles[k, 2] - origin[2]
+        apart = np.sqrt((x * x + y * y) + z * z)
+        if apart <= radius:
+            near[:] = True
+            continue
+        share = radius / apart
+        limit = np.sqrt(max(1.0 - share * share, 0.0))
+        x, y, z = x / apart, y / apart, z / apart
         for n in range(len(rays)):
             near[n] |= rays[n, 0] * x + rays[n, 1] * y + rays[n, 2] * z > limit
     count = 0

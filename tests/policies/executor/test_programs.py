@@ -10,9 +10,18 @@ import onnxruntime
 import pytest
 
 from nw_policies.executor import Program, planning
+from nw_policies.executor.joining import Link, joined, moved
 from nw_policies.executor.network import Network
 from nw_policies.executor.plan import plan
-from nw_policies.executor.program import COPY, ELEMENTS, PRODUCT, SCALED
+from nw_policies.executor.program import (
+    COPY,
+    ELEMENTS,
+    OFFSETS,
+    PRODUCT,
+    SCALED,
+    WIDTH,
+    touched,
+)
 
 GUARD = 4096
 
@@ -48,10 +57,20 @@ def test_a_network_is_near_to_onnxruntime_s(perceptron, graph_of):
         )
 
 
-@pytest.mark.parametrize("model", ["perceptron", "eye"])
+@pytest.fixture
+def pair(perceptron, graph_of):
+    """A perceptron, and another one whose input begins with what the first one gives."""
+    one, other = plan(graph_of(perceptron)), plan(graph_of(perceptron))
+    return joined((one, other), (Link(0, "action", 1, "obs", first=5),))[0]
+
+
+@pytest.mark.parametrize("model", ["perceptron", "eye", "pair"])
 def test_no_mutant_that_passes_the_check_touches_anything_outside(model, request, graph_of):
-    model = request.getfixturevalue(model)
-    program = plan(graph_of(model() if callable(model) else model))
+    found = request.getfixturevalue(model)
+    if isinstance(found, Program):
+        program = found
+    else:
+        program = plan(graph_of(found() if callable(found) else found))
     rng = np.random.default_rng(3)
     passed = 0
     for _ in range(3000):
@@ -76,6 +95,36 @@ def test_no_mutant_that_passes_the_check_touches_anything_outside(model, request
         passed += 1
         assert guarded(mutant)
     assert passed > 50
+
+
+def test_joined_programs_give_what_they_give_apart(pair, perceptron, graph_of):
+    alone, both = Network(plan(graph_of(perceptron))), Network(pair)
+    rng = np.random.default_rng(8)
+    first, rest = (rng.normal(0, 1, (1, 48)).astype(np.float32) for _ in range(2))
+    given = alone({"obs": first})["action"].copy()
+    found = both({"0 obs": first, "1 obs": rest})
+    assert found["0 action"].tobytes() == given.tobytes()
+    rest[0, 5:17] = given
+    assert found["1 action"].tobytes() == alone({"obs": rest})["action"].tobytes()
+
+
+def test_a_moved_row_touches_what_it_touched_so_much_later(perceptron, eye, graph_of):
+    known = [plan(graph_of(model)).rows for model in (perceptron, eye())]
+    rng = np.random.default_rng(9)
+    every = rng.integers(0, 9, (len(OFFSETS), WIDTH))
+    every[:, 0], every[:, 1], every[:, [9, 17]], every[:, 13] = range(len(OFFSETS)), 0, 1, 0
+    every[:, 21] = 0
+    for row in np.concatenate([*known, every]):
+        (other,) = moved(row[np.newaxis], 100)
+        before, after = (list(touched(one.tolist())) for one in (row, other))
+        assert after == [(offset + 100, extents) for offset, extents in before]
+
+
+@pytest.mark.parametrize(("first", "said"), [(-1, "from -1 on"), (40, "12 numbers from 40 on, of")])
+def test_what_does_not_fit_into_an_input_is_not_linked(perceptron, graph_of, first, said):
+    one, other = plan(graph_of(perceptron)), plan(graph_of(perceptron))
+    with pytest.raises(ValueError, match=said):
+        joined((one, other), (Link(0, "action", 1, "obs", first=first),))
 
 
 @pytest.mark.parametrize(

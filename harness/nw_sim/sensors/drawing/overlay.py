@@ -88,14 +88,9 @@ class Cones:
         self, origin: NDArray[np.float64], directions: NDArray[np.float64]
     ) -> NDArray[np.intp]:
         """Return which rays come as near to a cone as its bounding sphere: few of a picture's."""
-        way = self._middles - origin
-        apart = np.linalg.norm(way, axis=1)
-        # Within the sphere of one, every ray is.
-        least = np.sqrt(np.maximum(1.0 - (_BOUND / apart) ** 2, 0.0))
-        least[apart <= _BOUND] = -np.inf
-        towards = np.ascontiguousarray(way / apart[:, np.newaxis])
         found = np.empty(len(directions), dtype=np.intp)
-        return found[: insertion.near_any(directions, towards, least, found)]
+        point = np.array(origin)  # In one piece, which the kernel was compiled for.
+        return found[: insertion.near_any(directions, self._middles, point, _BOUND, found)]
 
 
 def shade(upwards: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -232,7 +227,7 @@ def draw(
         insertion.rays_around(flat, edge, _NINE * (*pitch, 0.0), rays)
         if len(edge):
             insertion.soften(*shoot(rays), edge, depth, colour, coverage)
-    drawn = np.flatnonzero(coverage)
+    drawn = np.flatnonzero(coverage > 0.0)
     rgb = np.zeros((len(flat), 3), dtype=np.float32)
     rgb[drawn] = colour[drawn]
     return Overlay(
@@ -409,7 +404,8 @@ def insert(
         T_world_camera: (4, 4), a rotation and metres; or (H, 4, 4), one for each row.
         static: the scene's geometry.
     """
-    row, column = np.nonzero(overlay.coverage)
+    # Of booleans in a row it is found five times as fast.
+    row, column = np.divmod(np.flatnonzero(overlay.coverage > 0.0), overlay.coverage.shape[1])
     if len(row) == 0:
         return image
     drawn = overlay.depth[row, column]
@@ -502,7 +498,7 @@ def _starts(size: int, count: int) -> NDArray[np.intp]:
 def _around(cells: Floats) -> Floats:
     """Return each cell of (R, C, K) with its neighbours: the next counts 2/3, the second 1/3."""
     rows, columns = (_weights(count) for count in cells.shape[:2])
-    return np.moveaxis(rows @ np.moveaxis(cells, 2, 0) @ columns, 0, 2)
+    return (rows @ cells.transpose(2, 0, 1) @ columns).transpose(1, 2, 0)
 
 
 @cache
