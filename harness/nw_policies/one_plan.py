@@ -181,7 +181,7 @@ def _places(
     givers: Mapping[str, tuple[int, str]],
     shown: Observation,
 ) -> list[_Place]:
-    """Return the places of all that a network takes.
+    """Return where all inputs of a network come from.
 
     Raises:
         ValueError: an input has another size, or a type that Python must convert to.
