@@ -285,7 +285,7 @@ def test_the_same_words_after_run_and_check_are_the_same_request():
     assert run.request.scenes == ("gaps/*", "flat/*")
     published = {"junit", "github", "no_github", "comment", "track", "reporter"}
     own = {"out", "resume", "in_process", "ledger", "no_cache", "all_rounds"}
-    own |= {"engine", "address", "label", "json"}
+    own |= {"engine", "address", "label"}
     assert set(vars(run)) - set(vars(check)) == own | published
     nothing = parse(["run"], description="").request
     assert nothing == Request()

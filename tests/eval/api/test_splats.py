@@ -71,13 +71,13 @@ def test_info_takes_a_scene_a_file_and_what_lies_in_the_cache(exported):
     assert api.splat_info(cached).count == told.count
 
 
-def test_a_misspelt_scene_is_answered_with_the_nearest(capsys):
+def test_a_misspelt_scene_is_answered_with_the_nearest(tmp_path, capsys):
     assert ends("splat", "info", "hurdles/three_lo") == 2
     assert "no built-in scene is called 'hurdles/three_lo'; did you mean 'hurdles/three_low'?" in (
         capsys.readouterr().err
     )
     with pytest.raises(SceneError, match=r"none\.ply: No such file"):
-        api.splat_convert("none.ply", exported)
+        api.splat_convert("none.ply", tmp_path / "out.ply")
 
 
 def test_a_turn_of_a_scene_goes_round_its_trail(tmp_path):
