@@ -9,7 +9,7 @@ scene is found (`inspect_scene`).
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
@@ -21,6 +21,7 @@ from nw_base.errors import SceneError, UsageError, nearest
 from nw_base.files.inside import what_is
 from nw_base.words import Collision
 from nw_places.entries import ENTRIES, has_variants, parted, variant
+from nw_places.ladders import FAMILIES, rung
 from nw_places.splits import SPLITS, Split, split_of
 from nw_scenes.folder import SCENE_FILE, folder_files, inspect_folder, load_folder
 from nw_scenes.neverwhere import PREFIX, inspect_published, load_published, reference_path
@@ -78,7 +79,7 @@ def open_scene(reference: str, collision: Collision = "terrain") -> Scene:
     Raises:
         SceneError: as `get_scene`.
     """
-    if is_built_in(reference):
+    if is_built_in(reference) or rung(reference) is not None:
         return _built_in(reference)
     if reference.startswith(PREFIX):
         return load_published(reference, collision=collision)
@@ -87,7 +88,7 @@ def open_scene(reference: str, collision: Collision = "terrain") -> Scene:
         return load_folder(folder, collision=collision)
     raise SceneError(
         f"no built-in scene and no folder is called {reference!r}",
-        fix=nearest(reference, _BY_NAME),
+        fix=_hint(reference, _BY_NAME),
     )
 
 
@@ -96,7 +97,7 @@ def folder_of(reference: str) -> Path | None:
 
     The name of a built-in scene is not a folder's, whatever lies in the working folder.
     """
-    if reference in _BY_NAME or reference.startswith(PREFIX):
+    if is_built_in(reference) or reference.startswith(PREFIX):
         return None
     path = Path(reference)
     if path.name == SCENE_FILE:
@@ -132,9 +133,10 @@ def references(
 
     Args:
         patterns: names of built-in scenes, globs over those, `split:train`, `split:eval`, any of
-            these with `~2` behind it for their second variants, or paths of scene folders,
-            `neverwhere:...`, `hub:...`; `triangles:` before any of them as in `get_scene`. What is
-            not on this machine is fetched.
+            these with `~2` behind it for their second variants, rungs of ladders such as
+            `hurdles/bar@0.34`, all published ones such as `hurdles/bar@*`, or paths of scene
+            folders, `neverwhere:...`, `hub:...`; `triangles:` before any of them as in `get_scene`.
+            What is not on this machine is fetched.
         base: folder that relative paths start from; the working folder by default.
         collision: how meshes collide, whatever the patterns say of it (default: as they say).
 
@@ -157,7 +159,12 @@ def references(
 
 
 def is_built_in(reference: str) -> bool:
-    """Say whether a reference names a built-in scene, or a variant of one, and no files."""
+    """Say whether a reference names a built-in scene, a variant or a rung, and no files."""
+    if "@" in reference:
+        try:
+            return rung(reference) is not None
+        except SceneError:
+            return False  # Its ladder has no such rung.
     name, number = parted(reference)
     return name in _BY_NAME and (number is None or has_variants(name))
 
@@ -174,6 +181,9 @@ def _of_split(pattern: str) -> tuple[str, ...] | None:
 
 
 def _match(pattern: str, base: Path) -> list[str]:
+    rungs = _rungs(pattern)
+    if rungs:
+        return rungs
     plain, number = parted(pattern)
     among = _of_split(plain)
     matched = [name for name in names() if fnmatchcase(name, plain)] if among is None else among
@@ -195,10 +205,33 @@ def _match(pattern: str, base: Path) -> list[str]:
         folders = _folders(folder)
         if folders:
             return [str(folder.resolve()) for folder in folders]
-    raise SceneError(
-        f"no scene matches {pattern!r}",
-        fix=nearest(pattern.replace("*", ""), [*names(), *(f"split:{split}" for split in SPLITS)]),
-    )
+    known = [*names(), *(f"split:{split}" for split in SPLITS)]
+    raise SceneError(f"no scene matches {pattern!r}", fix=_hint(pattern.replace("*", ""), known))
+
+
+def _rungs(pattern: str) -> list[str]:
+    """Return the rungs of built-in ladders that a name or a glob such as `hurdles/*@*` means."""
+    name, at, values = pattern.partition("@")
+    if not at:
+        return []
+    plain, number = parted(values)
+    if not any(mark in name + plain for mark in "*?["):
+        found = rung(pattern)
+        return [] if found is None else [found.name]
+    mine = [FAMILIES[each] for each in FAMILIES if fnmatchcase(each, name)]
+    all_rungs = [each.entry(value, number).name for each in mine for value in each.rungs]
+    wanted = f"{name}@{plain}" if number is None else f"{name}@{plain}~{number}"
+    return [each for each in all_rungs if fnmatchcase(each, wanted)]
+
+
+def _hint(reference: str, known: Iterable[str]) -> str:
+    """Return what a reference may have meant: a rung of a ladder, or one of the known names."""
+    name, at, _ = reference.partition("@")
+    if name in FAMILIES:
+        return f"{name} is a ladder; name a rung, such as {FAMILIES[name].reference_of_easiest}"
+    if at:
+        known = [each.reference_of_easiest for each in FAMILIES.values()]
+    return nearest(reference, known)
 
 
 def _folders(pattern: Path) -> list[Path]:
@@ -214,7 +247,9 @@ def _folders(pattern: Path) -> list[Path]:
 @cache
 def _built_in(reference: str) -> Scene:
     name, number = parted(reference)
-    entry = _BY_NAME[name] if number is None else variant(name, number, _BY_NAME)
+    entry = rung(reference)
+    if entry is None:
+        entry = _BY_NAME[name] if number is None else variant(name, number, _BY_NAME)
     return entry.scene()
 
 
