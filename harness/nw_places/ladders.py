@@ -1,6 +1,6 @@
 """Ladders: scenes with a number, such as the height of three bars.
 
-`hurdles/bar@0.34` is a rung: the course of a family at one value, in the first of its three settings.
+`hurdles/bar@0.34` is a rung: the course of a family at one value, in the first of three settings.
 `~1` and `~2` behind it are the same course in the other two. Every value of the published range
 makes a scene, the published rungs among them.
 """
@@ -55,7 +55,7 @@ _LOOKS = (
     Look(
         words="in a gymnasium",
         setting=Room(
-            floor="parquet/oak",
+            floor="parquet/walnut",
             walls="plaster/white",
             accent="plaster/teal",
             width=7.0,
@@ -137,7 +137,8 @@ class Family:
             number: of another setting; None for the default.
 
         Raises:
-            SceneError: the value is outside of the range, or has too many decimals.
+            SceneError: the value is outside of the range or has too many decimals, or there is no
+                such setting.
         """
         name = f"{self.name}@{_plain(value)}"
         if not self.low <= value <= self.high:
@@ -150,6 +151,11 @@ class Family:
         if value != round(value, DIGITS):
             near = self.reference(round(value, DIGITS))
             raise SceneError(f"{name} has more than {DIGITS} decimals", fix=f"write {near}")
+        if number is not None and number >= len(self.looks):
+            raise SceneError(
+                f"{name}~{number} names setting {number} of a ladder that has {len(self.looks)}",
+                fix=f"write {name}, {name}~1 or {name}~{len(self.looks) - 1}",
+            )
         return name if number is None else f"{name}~{number}"
 
     @property
@@ -159,12 +165,13 @@ class Family:
 
     def entry(self, value: float, number: int | None = None) -> Entry:
         """Return the scene of a rung; arguments and errors are those of `reference`."""
+        name = self.reference(value, number)
         look = self.looks[number or 0]
         course: Any = self.course(value)  # A dataclass, as all courses are.
         known = {each.name for each in fields(course)}
-        paint = {name: material for name, material in look.paint.items() if name in known}
+        paint = {part: material for part, material in look.paint.items() if part in known}
         return Entry(
-            name=self.reference(value, number),
+            name=name,
             title=f"{self.title}, {told(value, self.unit)}, {look.words}",
             setting=look.setting,
             course=replace(course, **paint),
@@ -310,12 +317,4 @@ def rung(reference: str) -> Entry | None:
             f"{reference!r} is no rung of the ladder {family}",
             fix=f"write a number behind @, such as {mine.reference_of_easiest}",
         )
-    value, number = float(found["value"]), int(found["number"] or 0)
-    name = mine.reference(value)
-    if number >= len(mine.looks):
-        raise SceneError(
-            f"{reference!r} names setting {number} of the ladder {family}, which has "
-            f"{len(mine.looks)}",
-            fix=f"write {name}, {name}~1 or {name}~{len(mine.looks) - 1}",
-        )
-    return mine.entry(value, number or None)
+    return mine.entry(float(found["value"]), int(found["number"]) if found["number"] else None)
