@@ -9,6 +9,7 @@ scene is found (`inspect_scene`).
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -17,13 +18,15 @@ from os.path import commonpath
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_base.errors import SceneError, UsageError, nearest
+from nw_base.errors import PluginError, SceneError, UsageError, nearest
 from nw_base.files.inside import what_is
+from nw_base.plugins import LADDERS, imported, installed, subject
 from nw_base.words import Collision
 from nw_places.entries import ENTRIES, has_variants, parted, variant
 from nw_places.ladders import FAMILIES, rung
 from nw_places.splits import SPLITS, Split, split_of
 from nw_scenes.folder import SCENE_FILE, folder_files, inspect_folder, load_folder
+from nw_scenes.ladder_file import LADDER_FILE, FolderLadder, is_ladder, load_ladder
 from nw_scenes.neverwhere import PREFIX, inspect_published, load_published, reference_path
 from nw_scenes.neverwhere.files import PUBLISHED, find_places
 from nw_scenes.real import REAL, fetched_scan, kept_scan, scan_of
@@ -85,6 +88,10 @@ def open_scene(reference: str, collision: Collision = "terrain") -> Scene:
         return load_published(reference, collision=collision)
     folder = folder_of(reference)
     if folder is not None:
+        if is_ladder(folder) and what_is(folder / SCENE_FILE) == "nothing":
+            easiest, _ = load_ladder(folder).rungs[0]
+            fix = f"name a rung, such as {reference}@{easiest:g}"
+            raise SceneError(f"{reference} is a ladder and no scene", fix=fix)
         return load_folder(folder, collision=collision)
     raise SceneError(
         f"no built-in scene and no folder is called {reference!r}",
@@ -109,7 +116,7 @@ def from_folder(reference: str, folder: Path) -> str:
     """Return what names the same scene from another folder: a path in it starts there."""
     plain, collision = parse_reference(reference)
     begin = _TRIANGLES if collision == "triangles" else ""
-    here = folder_of(plain)
+    here = folder_of(plain) or _rung_folder(plain, None)
     if here is not None:
         return begin + Path(os.path.relpath(here, folder)).as_posix()
     if plain.startswith(PREFIX) and what_is(path := reference_path(plain)) != "nothing":
@@ -181,8 +188,7 @@ def _of_split(pattern: str) -> tuple[str, ...] | None:
 
 
 def _match(pattern: str, base: Path) -> list[str]:
-    rungs = _rungs(pattern)
-    if rungs:
+    if rungs := _rungs(pattern, base):
         return rungs
     plain, number = parted(pattern)
     among = _of_split(plain)
@@ -209,11 +215,13 @@ def _match(pattern: str, base: Path) -> list[str]:
     raise SceneError(f"no scene matches {pattern!r}", fix=_hint(pattern.replace("*", ""), known))
 
 
-def _rungs(pattern: str) -> list[str]:
-    """Return the rungs of built-in ladders that a name or a glob such as `hurdles/*@*` means."""
+def _rungs(pattern: str, base: Path) -> list[str]:
+    """Return the rungs that a name or glob of built-in ladders means, or `FOLDER@*`."""
     name, at, values = pattern.partition("@")
     if not at:
         return []
+    if pattern.endswith("@*") and is_ladder(folder := base / pattern.removesuffix("@*")):
+        return [str(each.resolve()) for _, each in load_ladder(folder).rungs]
     plain, number = parted(values)
     if not any(mark in name + plain for mark in "*?["):
         found = rung(pattern)
@@ -270,14 +278,16 @@ class FoundScene:
 
 
 HUB = "hub:"
+_NUMBER = re.compile(r"-?[0-9]{1,9}(?:\.[0-9]{1,12})?")
 
 
 def brought(reference: str, base: Path | None = None) -> str:
     """Return a reference to files on this machine, which are fetched if they are not here yet.
 
     Args:
-        reference: any; `hub:org/name[@revision]`, `real:NAME`, and `neverwhere:NAME` where NAME is
-            a published scene and no path, become folders, and all others stay as they are.
+        reference: any; `hub:org/name[@revision]`, `real:NAME`, `neverwhere:NAME` where NAME is a
+            published scene and no path, and rungs `LADDER@VALUE` of folders and packages become
+            folders, and all others stay as they are.
         base: folder that relative paths start from; the working folder by default.
 
     Raises:
@@ -288,12 +298,41 @@ def brought(reference: str, base: Path | None = None) -> str:
     """
     if reference.startswith(REAL):
         return str(kept_scan(reference).folder)
+    if (on_ladder := _rung_folder(reference, base)) is not None:
+        return str(on_ladder)
     from_hub = elsewhere(reference, base)
     if from_hub is None:
         return reference
     from nw_scenes.hub.fetch import located
 
     return _opened_by(located(from_hub))
+
+
+def _rung_folder(reference: str, base: Path | None) -> Path | None:
+    """Return the folder of a rung of a folder's or a package's ladder; None if it is none."""
+    name, at, value = reference.rpartition("@")
+    if not at or not _NUMBER.fullmatch(value) or name in FAMILIES or reference.startswith(HUB):
+        return None
+    if name in installed(LADDERS):
+        return plugged_ladder(name).scene(float(value))
+    folder = (Path() if base is None else base) / name
+    return load_ladder(folder).scene(float(value)).resolve() if is_ladder(folder) else None
+
+
+def plugged_ladder(name: str) -> FolderLadder:
+    """Return the ladder of an installed package, whose entry point names its folder.
+
+    Raises:
+        PluginError: two packages claim the name, or it names no folder.
+        SceneError: as `load_ladder`.
+    """
+    value = imported(LADDERS, name)
+    if not isinstance(value, str | Path) or not is_ladder(Path(value)):
+        raise PluginError(
+            f"{subject(installed(LADDERS)[name][0])} is no folder with a {LADDER_FILE}",
+            fix=f"the entry point {name!r} must name the path of one",
+        )
+    return load_ladder(Path(value))
 
 
 def fetch_scene(reference: str, *, file: Path | None = None) -> Fetched:
