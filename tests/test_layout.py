@@ -133,7 +133,7 @@ MOST = {
     ),
     "nw_eval": Figures(
         32918,  # JSON of more verbs; the time that a run still takes; paths as text.
-        153,
+        157,  # Ladders and their rungs.
         ("nw_learn", "nw_twin"),
     ),
     "nw_gate": Figures(
