@@ -109,6 +109,7 @@ class Family:
         rungs: the published values, from easy to hard.
         course: makes the course of a value.
         looks: the settings, the default first.
+        aside: half width by which a trial may move waypoints to a side, metres.
     """
 
     name: str
@@ -118,6 +119,7 @@ class Family:
     course: Callable[[float], Course]
     unit: Unit = "m"
     looks: tuple[Look, ...] = field(default=_LOOKS)
+    aside: float = 0.1
 
     @property
     def low(self) -> float:
@@ -177,6 +179,7 @@ class Family:
             course=replace(course, **paint),
             light=look.light,
             exposure=look.exposure,
+            waypoint_noise=(0.0, self.aside),
         )
 
 
@@ -234,7 +237,8 @@ _FAMILIES = (
         name="gaps/beam",
         title="a narrow beam between two platforms",
         parameter="width of the beam",
-        rungs=steps(0.60, 0.08, 0.04),
+        rungs=steps(1.00, 0.09, 0.07),
+        aside=0.0,
         # It reaches into both platforms, so that no foot finds a seam.
         course=lambda value: Gaps(gaps=(-0.05, -0.05), width=value, length=2.4),
     ),
@@ -281,6 +285,7 @@ _FAMILIES = (
         parameter="angle of the boards",
         unit="rad",
         rungs=steps(0.05, 0.70, 0.05),
+        aside=0.05,
         course=lambda value: Boards(angles=(math.degrees(value),) * 4, offset=0.10),
     ),
     Family(
@@ -288,7 +293,15 @@ _FAMILIES = (
         title="strewn flat stones, up to a height",
         parameter="height of the highest stones",
         rungs=steps(0.02, 0.28, 0.02),
-        course=lambda value: Rubble(count=1000, heights=(0.25 * value, value), finish=5.0),
+        # So dense that there is no way round them.
+        course=lambda value: Rubble(
+            count=2000,
+            heights=(0.25 * value, value),
+            sides=(0.2, 0.4),
+            reach=6.0,
+            clear=0.7,
+            finish=4.5,
+        ),
         looks=_LAWNS,
     ),
 )

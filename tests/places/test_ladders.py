@@ -140,7 +140,7 @@ def test_a_rung_belongs_to_no_split():
     ("wrong", "message"),
     [
         ("hurdles/bar@0.63", "0.1 to 0.62 m; name a value in that range, such as hurdles/bar@0.62"),
-        ("gaps/beam@0.01", "0.08 to 0.6 m; name a value in that range, such as gaps/beam@0.08"),
+        ("gaps/beam@0.01", "0.09 to 1 m; name a value in that range, such as gaps/beam@0.09"),
         ("ramps/up@20", "angle of the slope is 0.1 to 0.75 rad"),
         ("hurdles/bar@0.12345", "more than 4 decimals; write hurdles/bar@0.123"),
         ("hurdles/bar@high", "write a number behind @, such as hurdles/bar@0.1"),
@@ -163,3 +163,15 @@ def test_a_rung_is_the_same_in_another_process():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )  # fmt: skip
     assert done.stdout.strip() == get_scene("ramps/side@0.37~1").digest
+
+
+def test_waypoints_stay_on_a_beam_and_stones_leave_no_way_round():
+    assert get_scene("gaps/beam@0.09").waypoint_noise == (0.0, 0.0)
+    x, y = np.meshgrid(np.arange(1.2, 3.6, 0.01), np.arange(-5.0, 5.0, 0.01))
+    ground = RayScene(get_scene("open/stones@0.28").mesh()).height(
+        np.column_stack([x.ravel(), y.ravel()])
+    )
+    free = (ground.reshape(x.shape) < 0.05).all(axis=1)
+    # A lane without a stone from end to end is nowhere as wide as a robot.
+    lanes = "".join("." if each else "x" for each in free).split("x")
+    assert max(map(len, lanes)) * 0.01 < 0.3
