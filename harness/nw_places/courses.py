@@ -11,6 +11,8 @@ from nw_scenes.scene import Vector
 
 _BEHIND = 1.5
 """Metres that the ground under the spawn reaches behind it, where that is raised."""
+_DIGITS = 9
+"""Of lengths in metres, as of all that is built: sums and sines end differently elsewhere."""
 _HIGH = 0.95
 """Height of the upper edge of a board to pass under, metres, and at least `_BOARD` of board."""
 _BOARD = 0.25
@@ -41,7 +43,7 @@ class StepsDown:
     @property
     def floor(self) -> float:
         """Height of the ground in the world, metres."""
-        return -sum(self.drops)
+        return round(-sum(self.drops), _DIGITS)
 
     def trail(self) -> tuple[Vector, ...]:
         """Return the waypoints: on every other tread, then on the ground."""
@@ -130,11 +132,11 @@ class Slope:
 
     @property
     def _run(self) -> float:
-        return self.length * math.cos(self.angle)
+        return round(self.length * math.cos(self.angle), _DIGITS)
 
     @property
     def _rise(self) -> float:
-        return self.length * math.sin(self.angle)
+        return round(self.length * math.sin(self.angle), _DIGITS)
 
 
 @dataclass(frozen=True, kw_only=True)

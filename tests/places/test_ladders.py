@@ -175,3 +175,9 @@ def test_waypoints_stay_on_a_beam_and_stones_leave_no_way_round():
     # A lane without a stone from end to end is nowhere as wide as a robot.
     lanes = "".join("." if each else "x" for each in free).split("x")
     assert max(map(len, lanes)) * 0.01 < 0.3
+
+
+def test_the_floor_below_a_platform_is_a_round_number_of_nanometres():
+    for reference in ("ramps/down@0.37", "stairs/down@0.34", "stairs/drop@0.1"):
+        floor = get_scene(reference).ground.z
+        assert floor == round(floor, 9) < 0.0
