@@ -51,6 +51,7 @@ def parts() -> Mapping[str, Callable[[], str]]:
         "columns": columns,
         "topics": topics,
         "scores": scores,
+        "ladders": ladders,
         "operators": network_operators,
         "system calls": system_calls,
         **{f"python {topic}": partial(api_of, topic) for topic in TOPICS},
@@ -110,6 +111,19 @@ def _option(option: Option) -> tuple[str, str, str]:
         return _code(option.metavar), default, _cell(told)
     value = f" {_code(option.metavar)}" if option.metavar else ""
     return ", ".join(map(_code, option.flags)) + value, default, _cell(told)
+
+
+def ladders() -> str:
+    """Return the built-in ladders: of scenes first, then of perturbations and commands."""
+    from nw_eval import api
+
+    rows = []
+    for each in api.ladders():
+        one, two, last = (each.rungs[index].value for index in (0, 1, -1))
+        apart = f"{abs(two - one):.2g} {each.unit}".rstrip()
+        ends = f"{each.told(one)} to {each.told(last)}"
+        rows.append((_code(each.name), each.parameter, ends, apart, str(len(each.rungs))))
+    return _table(("ladder", "number", "from easy to hard", "apart", "rungs"), rows)
 
 
 # The files that people write.

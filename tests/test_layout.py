@@ -133,7 +133,7 @@ MOST = {
     ),
     "nw_eval": Figures(
         32918,  # JSON of more verbs; the time that a run still takes; paths as text.
-        153,
+        157,  # Ladders and their rungs.
         ("nw_learn", "nw_twin"),
     ),
     "nw_gate": Figures(
@@ -147,7 +147,7 @@ MOST = {
         (),
     ),
     "nw_places": Figures(
-        7287,
+        7800,  # Ladders: a dozen families of scenes with a number.
         0,
         ("nw_eval", "nw_learn", "nw_sim"),
     ),

@@ -26,6 +26,7 @@ REPORTERS = "nw_eval.reporters"
 ROBOTS = "nw_eval.robots"
 TASKS = "nw_eval.tasks"
 SCORES = "nw_eval.scores"
+LADDERS = "nw_eval.ladders"
 """The entry-point groups."""
 
 _Kind = TypeVar("_Kind")

@@ -36,6 +36,8 @@ from nw_policies.cards.load import ListedPolicy as ListedPolicy
 from nw_scenes.hub.reference import Fetched as Fetched
 from nw_scenes.overview import SceneFigures as SceneFigures
 from nw_sim.axes import Axis as Axis
+from nw_sim.ladders import Ladder as Ladder
+from nw_sim.ladders import Rung as Rung
 from nw_sim.probe.report import ProbeReport as ProbeReport
 from nw_sim.probe.robot_check import CheckedRobot as CheckedRobot
 from nw_sim.probe.robot_check import RobotSummary as RobotSummary

@@ -36,9 +36,11 @@ EVALUATION: tuple[str, ...] = (
 def split_of(name: str) -> Split | None:
     """Return a built-in scene's split by its name; None for scenes that belong to no task's list.
 
-    The empty `flat/` place and the wide `open/` ones are in neither. A variant (`NAME~2`) is of its
-    scene's split.
+    The empty `flat/` place, the wide `open/` ones and rungs of ladders (`NAME@0.3`) are in neither.
+    A variant (`NAME~2`) is of its scene's split.
     """
+    if "@" in name:
+        return None
     if name.partition("~")[0] in EVALUATION:
         return "eval"
     return None if name.startswith(("flat/", "open/")) else "train"

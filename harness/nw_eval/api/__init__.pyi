@@ -66,8 +66,10 @@ from nw_eval.api.scenes import CheckedScene as CheckedScene
 from nw_eval.api.scenes import ListedScene as ListedScene
 from nw_eval.api.scenes import WarmUp as WarmUp
 from nw_eval.api.scenes import check_scenes as check_scenes
+from nw_eval.api.scenes import ladders as ladders
 from nw_eval.api.scenes import list_scenes as list_scenes
 from nw_eval.api.scenes import render_scenes as render_scenes
+from nw_eval.api.scenes import rungs_of as rungs_of
 from nw_eval.api.scenes import show_scene as show_scene
 from nw_eval.api.scenes import warmup as warmup
 from nw_eval.api.schemas import schema as schema

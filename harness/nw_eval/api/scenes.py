@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from nw_places.splits import Split
     from nw_scenes.finding import SceneFinding
     from nw_scenes.overview import SceneFigures
+    from nw_sim.ladders import Ladder, Rung
     from nw_sim.survey import Survey
     from nw_sim.survey.legs import Fit
 
@@ -98,6 +99,35 @@ def list_scenes(
         )
         for scene in match_scenes(tuple(patterns) or ("*",))
     )
+
+
+def ladders(names: Sequence[str] = ()) -> tuple[Ladder, ...]:
+    """Return ladders: scenes, perturbations and commands that grow harder by one number.
+
+    Args:
+        names: ladders, folders with a `ladder.yaml`, `SCENE+AXIS`, `SCENE+speed` or
+            `SCENE+turn_rate` (default: all built-in ladders and those of packages).
+
+    Raises:
+        SceneError: there is no such ladder, or it cannot be read.
+        PluginError: a package's ladder or axis cannot be imported.
+        FetchError, PrerequisiteError, StoreError: its scene cannot be fetched.
+    """
+    from nw_sim import ladders as known
+
+    return tuple(known.ladder_named(name) for name in names) or known.ladders()
+
+
+def rungs_of(name: str) -> tuple[Rung, ...]:
+    """Return the rungs of a ladder from easy to hard: value, scene, and what is changed there.
+
+    Args:
+        name: of the ladder, as of `ladders`.
+
+    Raises:
+        SceneError, PluginError, FetchError, PrerequisiteError, StoreError: as `ladders`.
+    """
+    return ladders([name])[0].rungs
 
 
 def show_scene(reference: str, *, out: str | PathLike[str] | None = None) -> SceneFigures:

@@ -139,7 +139,8 @@ def _was_trained(name: str, trained_on: Sequence[str]) -> bool:
     if None in numbers_out:  # With all of its variants.
         return False
     return any(
-        is_meant(name, pattern) and number not in numbers_out
+        # A glob over scenes means no rung of a ladder.
+        is_meant(name, pattern) and ("@" in name) == ("@" in pattern) and number not in numbers_out
         for pattern, number in map(parted, trained_on)
     )
 

@@ -9,7 +9,8 @@ scene is found (`inspect_scene`).
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
@@ -17,12 +18,15 @@ from os.path import commonpath
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_base.errors import SceneError, UsageError, nearest
+from nw_base.errors import PluginError, SceneError, UsageError, nearest
 from nw_base.files.inside import what_is
+from nw_base.plugins import LADDERS, imported, installed, subject
 from nw_base.words import Collision
 from nw_places.entries import ENTRIES, has_variants, parted, variant
+from nw_places.ladders import FAMILIES, rung
 from nw_places.splits import SPLITS, Split, split_of
 from nw_scenes.folder import SCENE_FILE, folder_files, inspect_folder, load_folder
+from nw_scenes.ladder_file import LADDER_FILE, FolderLadder, is_ladder, load_ladder
 from nw_scenes.neverwhere import PREFIX, inspect_published, load_published, reference_path
 from nw_scenes.neverwhere.files import PUBLISHED, find_places
 from nw_scenes.real import REAL, fetched_scan, kept_scan, scan_of
@@ -78,16 +82,20 @@ def open_scene(reference: str, collision: Collision = "terrain") -> Scene:
     Raises:
         SceneError: as `get_scene`.
     """
-    if is_built_in(reference):
+    if is_built_in(reference) or rung(reference) is not None:
         return _built_in(reference)
     if reference.startswith(PREFIX):
         return load_published(reference, collision=collision)
     folder = folder_of(reference)
     if folder is not None:
+        if is_ladder(folder) and what_is(folder / SCENE_FILE) == "nothing":
+            easiest, _ = load_ladder(folder).rungs[0]
+            fix = f"name a rung, such as {reference}@{easiest:g}"
+            raise SceneError(f"{reference} is a ladder and no scene", fix=fix)
         return load_folder(folder, collision=collision)
     raise SceneError(
         f"no built-in scene and no folder is called {reference!r}",
-        fix=nearest(reference, _BY_NAME),
+        fix=_hint(reference, _BY_NAME),
     )
 
 
@@ -96,7 +104,7 @@ def folder_of(reference: str) -> Path | None:
 
     The name of a built-in scene is not a folder's, whatever lies in the working folder.
     """
-    if reference in _BY_NAME or reference.startswith(PREFIX):
+    if is_built_in(reference) or reference.startswith(PREFIX):
         return None
     path = Path(reference)
     if path.name == SCENE_FILE:
@@ -108,7 +116,7 @@ def from_folder(reference: str, folder: Path) -> str:
     """Return what names the same scene from another folder: a path in it starts there."""
     plain, collision = parse_reference(reference)
     begin = _TRIANGLES if collision == "triangles" else ""
-    here = folder_of(plain)
+    here = folder_of(plain) or _rung_folder(plain, None)
     if here is not None:
         return begin + Path(os.path.relpath(here, folder)).as_posix()
     if plain.startswith(PREFIX) and what_is(path := reference_path(plain)) != "nothing":
@@ -132,9 +140,10 @@ def references(
 
     Args:
         patterns: names of built-in scenes, globs over those, `split:train`, `split:eval`, any of
-            these with `~2` behind it for their second variants, or paths of scene folders,
-            `neverwhere:...`, `hub:...`; `triangles:` before any of them as in `get_scene`. What is
-            not on this machine is fetched.
+            these with `~2` behind it for their second variants, rungs of ladders such as
+            `hurdles/bar@0.34`, all published ones such as `hurdles/bar@*`, or paths of scene
+            folders, `neverwhere:...`, `hub:...`; `triangles:` before any of them as in `get_scene`.
+            What is not on this machine is fetched.
         base: folder that relative paths start from; the working folder by default.
         collision: how meshes collide, whatever the patterns say of it (default: as they say).
 
@@ -157,7 +166,12 @@ def references(
 
 
 def is_built_in(reference: str) -> bool:
-    """Say whether a reference names a built-in scene, or a variant of one, and no files."""
+    """Say whether a reference names a built-in scene, a variant or a rung, and no files."""
+    if "@" in reference:
+        try:
+            return rung(reference) is not None
+        except SceneError:
+            return False  # Its ladder has no such rung.
     name, number = parted(reference)
     return name in _BY_NAME and (number is None or has_variants(name))
 
@@ -174,6 +188,8 @@ def _of_split(pattern: str) -> tuple[str, ...] | None:
 
 
 def _match(pattern: str, base: Path) -> list[str]:
+    if rungs := _rungs(pattern, base):
+        return rungs
     plain, number = parted(pattern)
     among = _of_split(plain)
     matched = [name for name in names() if fnmatchcase(name, plain)] if among is None else among
@@ -195,10 +211,35 @@ def _match(pattern: str, base: Path) -> list[str]:
         folders = _folders(folder)
         if folders:
             return [str(folder.resolve()) for folder in folders]
-    raise SceneError(
-        f"no scene matches {pattern!r}",
-        fix=nearest(pattern.replace("*", ""), [*names(), *(f"split:{split}" for split in SPLITS)]),
-    )
+    known = [*names(), *(f"split:{split}" for split in SPLITS)]
+    raise SceneError(f"no scene matches {pattern!r}", fix=_hint(pattern.replace("*", ""), known))
+
+
+def _rungs(pattern: str, base: Path) -> list[str]:
+    """Return the rungs that a name or glob of built-in ladders means, or `FOLDER@*`."""
+    name, at, values = pattern.partition("@")
+    if not at:
+        return []
+    if pattern.endswith("@*") and is_ladder(folder := base / pattern.removesuffix("@*")):
+        return [str(each.resolve()) for _, each in load_ladder(folder).rungs]
+    plain, number = parted(values)
+    if not any(mark in name + plain for mark in "*?["):
+        found = rung(pattern)
+        return [] if found is None else [found.name]
+    mine = [FAMILIES[each] for each in FAMILIES if fnmatchcase(each, name)]
+    all_rungs = [each.entry(value, number).name for each in mine for value in each.rungs]
+    wanted = f"{name}@{plain}" if number is None else f"{name}@{plain}~{number}"
+    return [each for each in all_rungs if fnmatchcase(each, wanted)]
+
+
+def _hint(reference: str, known: Iterable[str]) -> str:
+    """Return what a reference may have meant: a rung of a ladder, or one of the known names."""
+    name, at, _ = reference.partition("@")
+    if name in FAMILIES:
+        return f"{name} is a ladder; name a rung, such as {FAMILIES[name].reference_of_easiest}"
+    if at:
+        known = [each.reference_of_easiest for each in FAMILIES.values()]
+    return nearest(reference, known)
 
 
 def _folders(pattern: Path) -> list[Path]:
@@ -214,7 +255,9 @@ def _folders(pattern: Path) -> list[Path]:
 @cache
 def _built_in(reference: str) -> Scene:
     name, number = parted(reference)
-    entry = _BY_NAME[name] if number is None else variant(name, number, _BY_NAME)
+    entry = rung(reference)
+    if entry is None:
+        entry = _BY_NAME[name] if number is None else variant(name, number, _BY_NAME)
     return entry.scene()
 
 
@@ -235,14 +278,16 @@ class FoundScene:
 
 
 HUB = "hub:"
+_NUMBER = re.compile(r"-?[0-9]{1,9}(?:\.[0-9]{1,12})?")
 
 
 def brought(reference: str, base: Path | None = None) -> str:
     """Return a reference to files on this machine, which are fetched if they are not here yet.
 
     Args:
-        reference: any; `hub:org/name[@revision]`, `real:NAME`, and `neverwhere:NAME` where NAME is
-            a published scene and no path, become folders, and all others stay as they are.
+        reference: any; `hub:org/name[@revision]`, `real:NAME`, `neverwhere:NAME` where NAME is a
+            published scene and no path, and rungs `LADDER@VALUE` of folders and packages become
+            folders, and all others stay as they are.
         base: folder that relative paths start from; the working folder by default.
 
     Raises:
@@ -253,12 +298,41 @@ def brought(reference: str, base: Path | None = None) -> str:
     """
     if reference.startswith(REAL):
         return str(kept_scan(reference).folder)
+    if (on_ladder := _rung_folder(reference, base)) is not None:
+        return str(on_ladder)
     from_hub = elsewhere(reference, base)
     if from_hub is None:
         return reference
     from nw_scenes.hub.fetch import located
 
     return _opened_by(located(from_hub))
+
+
+def _rung_folder(reference: str, base: Path | None) -> Path | None:
+    """Return the folder of a rung of a folder's or a package's ladder; None if it is none."""
+    name, at, value = reference.rpartition("@")
+    if not at or not _NUMBER.fullmatch(value) or name in FAMILIES or reference.startswith(HUB):
+        return None
+    if name in installed(LADDERS):
+        return plugged_ladder(name).scene(float(value))
+    folder = (Path() if base is None else base) / name
+    return load_ladder(folder).scene(float(value)).resolve() if is_ladder(folder) else None
+
+
+def plugged_ladder(name: str) -> FolderLadder:
+    """Return the ladder of an installed package, whose entry point names its folder.
+
+    Raises:
+        PluginError: two packages claim the name, or it names no folder.
+        SceneError: as `load_ladder`.
+    """
+    value = imported(LADDERS, name)
+    if not isinstance(value, str | Path) or not is_ladder(Path(value)):
+        raise PluginError(
+            f"{subject(installed(LADDERS)[name][0])} is no folder with a {LADDER_FILE}",
+            fix=f"the entry point {name!r} must name the path of one",
+        )
+    return load_ladder(Path(value))
 
 
 def fetch_scene(reference: str, *, file: Path | None = None) -> Fetched:

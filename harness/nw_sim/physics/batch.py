@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
+from nw_scenes.scene import Box
 from nw_sim.physics.binding import mujoco
 from nw_sim.physics.model import Model, add_geometry
 
@@ -173,12 +175,14 @@ def solid_distances(scene: Scene, origins: Array, directions: Array) -> Array:
     """Return how far rays go until they meet what collides in a scene, (N,) m; inf = nothing.
 
     Args:
-        scene: its ground and solids collide.
+        scene: its ground and solids collide. What hangs overhead is looked through, as by rays
+            that meet the mesh.
         origins: (N, 3) where the rays begin, world, m.
         directions: (N, 3) unit vectors, world.
     """
     spec = mujoco.MjSpec()
-    add_geometry(spec, scene, friction=None)
+    below = tuple(x for x in scene.solids if not (isinstance(x, Box) and x.kind == "overhead"))
+    add_geometry(spec, replace(scene, solids=below), friction=None)
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

@@ -61,3 +61,10 @@ def test_the_shipped_students_say_where_they_were_trained_and_no_digest_moves(tm
         "hurdles/three_low": "eval",
         "flat/carpet_room": None,
     }
+
+
+def test_a_glob_over_scenes_means_no_rung_of_a_ladder():
+    rung = FoundScene.at("hurdles/bar@0.3")
+    assert split_for(card("hurdles/*"), rung) is None
+    assert split_for(card("*"), rung) is None
+    assert split_for(card("hurdles/bar@*"), rung) == "train"

@@ -19,6 +19,7 @@ from nw_eval.cli.verbs.verb import Verb, verb_of
 if TYPE_CHECKING:
     from nw_eval.api import CheckedScene, ListedScene, PushedScene
     from nw_scenes.overview import SceneFigures
+    from nw_sim.ladders import Ladder, Rung
 
 
 @verb_of("list_scenes")
@@ -27,6 +28,19 @@ class List(Printed, Verb):
 
     def show(self, found: Sequence[ListedScene]) -> str:
         return scene_table(found)
+
+
+@verb_of("ladders", named={"names": "ladders"})
+class Ladders(Printed, Verb):
+    """List ladders: scenes, perturbations and commands that grow harder by one number.
+
+    A ladder that is named is listed with its rungs. A rung is a scene, such as hurdles/bar@0.34.
+    """
+
+    ladders: tuple[str, ...]
+
+    def show(self, found: Sequence[Ladder]) -> str:
+        return rungs_table(found) if self.ladders else ladder_table(found)
 
 
 @verb_of("show_scene", named={"reference": "scene"})
@@ -119,6 +133,30 @@ def scene_table(scenes: Sequence[ListedScene]) -> str:
         f"{_asked(scene)}{scene.title}"
         for scene in scenes
     )
+
+
+def ladder_table(ladders: Sequence[Ladder]) -> str:
+    """Return a line for each ladder: name, easiest and hardest rung, number of rungs, title."""
+    ends = [
+        f"{each.told(each.rungs[0].value)} to {each.told(each.rungs[-1].value)}" for each in ladders
+    ]
+    wide, long = max(len(each.name) for each in ladders), max(map(len, ends))
+    return "\n".join(
+        f"{each.name:{wide}}  {end:{long}}  {plural(len(each.rungs), 'rung'):9}  {each.parameter}"
+        for each, end in zip(ladders, ends, strict=True)
+    )
+
+
+def rungs_table(ladders: Sequence[Ladder]) -> str:
+    """Return a line for each rung of ladders: value, scene, and what is changed there."""
+    return "\n".join(
+        f"{each.told(rung.value):24}  {_changed(rung)}" for each in ladders for rung in each.rungs
+    )
+
+
+def _changed(rung: Rung) -> str:
+    cell = "".join(f"  {axis} {value:g}" for axis, value in (*rung.perturbation, *rung.command))
+    return f"{clean(rung.scene)}{cell}"
 
 
 def _asked(scene: ListedScene) -> str:

@@ -88,6 +88,7 @@ Bring your own:
     fetch Fetch menagerie:unitree_a1
   scenes - how-to/scene.md list, show, check, draw, import, fetch or push scenes
     list List 'hurdles/*'
+    ladders Ladders hurdles/bar
     show Show hurdles/one_low_carpet
     check Check ./my-place --out suite.yaml
     render Render 'hurdles/*' --out scenes.png

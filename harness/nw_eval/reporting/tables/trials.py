@@ -20,7 +20,7 @@ BEFORE_END = 1.0
 """Seconds before a trial's end at which a link to it begins."""
 COVERED = 0.5
 """Mean alpha of a frame below which the camera looked mostly at what was never captured."""
-_NAME = re.compile(r"[A-Za-z0-9_.+~=-]+")
+_NAME = re.compile(r"[A-Za-z0-9_.+~=@-]+")
 
 
 def contacts_table(rows: Sequence[Row], run: RunInfo) -> Table:
