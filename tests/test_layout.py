@@ -137,8 +137,8 @@ MOST = {
         ("nw_learn", "nw_twin"),
     ),
     "nw_gate": Figures(
-        17260,  # Bets made from the baseline; ranks by bets that learn; what made a verdict.
-        8,
+        18760,  # Limits of ladders; bets made from the baseline; ranks by bets that learn.
+        17,
         ("nw_eval", "nw_learn", "nw_sim", "nw_twin"),
     ),
     "nw_learn": Figures(

@@ -3,8 +3,9 @@
     judge(read_evaluation("new.parquet"), read_evaluation("old.parquet")).word
 
 What is named here judges episodes of any simulator. `baseline` and `absolute` judge rows of nw-eval
-by a baseline that is known start by start; `stats` has the tests, `scores` what is measured,
-`results` how rows, runs and baselines are kept.
+by a baseline that is known start by start; `limits` finds the hardest scene that a policy still
+completes; `stats` has the tests, `scores` what is measured, `results` how rows, runs and baselines
+are kept.
 """
 
 from nw_base.public import public_names

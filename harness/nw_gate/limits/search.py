@@ -1,0 +1,85 @@
+"""Which rung to try next: the one that brings the cheapest sufficient pair of claims nearer.
+
+A search ends once a claim "rung a is cleared" and a claim "rung b is not", `width` rungs apart or
+less, are made. What a claim still costs is the missing logarithm of its wealth divided by the gain
+of a trial there. The search aims at the pair that costs least, not at the one next to the limit: a
+rung whose rate is near the share would take all trials. Of the pair it tries the rung whose rate is
+nearer to the share, since its result changes the aim most.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log
+
+import numpy as np
+
+from nw_gate.limits.curves import Array, Beliefs, Curves
+from nw_gate.limits.wealth import Ints, Wealth, growth
+
+_HOPE = 0.4  # How far a cost supposes that its claim is true.
+_CERTAIN = 0.98
+_LEAST_GAIN = 1e-4
+_LEAST_MISSING = 0.2
+_CENTRE = 0.3  # trials that a pair costs more for each rung from the middle of the posterior
+_NEVER = 1e12
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Search:
+    """How ladders are searched, B at a time."""
+
+    curves: Curves
+    share: float
+    confidence: float
+    width: int
+
+    def beliefs(self, wealth: Wealth) -> Beliefs:
+        """Return what is expected after the trials so far."""
+        return self.curves.beliefs(wealth.done, wealth.missed)
+
+    def ended(self, wealth: Wealth) -> np.ndarray:
+        """Return for each ladder whether its bounds are at most `width` rungs apart."""
+        low, high = wealth.bounds(self.confidence)
+        return high - low <= self.width
+
+    def next(self, wealth: Wealth, beliefs: Beliefs) -> Ints:
+        """Return the rung to try next, of each ladder."""
+        ladders, rungs = wealth.done.shape
+        low, high = (bound[:, None] for bound in wealth.bounds(self.confidence))
+        i, every = np.arange(rungs), np.arange(ladders)
+        gain_cleared, gain_failed = gains(beliefs, self.share)
+        needed = -log(1.0 - self.confidence)
+        # A claim needs the wealth of all nulls before it.
+        have = np.minimum.accumulate(np.where(i <= low, np.inf, wealth.cleared), axis=1)
+        cost_low = np.where(i <= low, 0.0, np.maximum(needed - have, _LEAST_MISSING) / gain_cleared)
+        have = np.minimum.accumulate(np.where(i >= high, np.inf, wealth.failed)[:, ::-1], axis=1)
+        cost_high = np.where(
+            i >= high, 0.0, np.maximum(needed - have[:, ::-1], _LEAST_MISSING) / gain_failed
+        )
+        # Pair k is (k - 1, k - 1 + width); what lies off the ladder costs nothing.
+        a = np.arange(-1, rungs)
+        b = np.minimum(a + self.width, rungs)
+        zero = np.zeros((ladders, 1))
+        both = np.hstack([zero, cost_low]) + np.hstack([cost_high, zero])[:, np.maximum(b, 0)]
+        middle = (np.cumsum(beliefs.cleared, axis=1) < 0.5).sum(axis=1)[:, None] - 0.5
+        both += _CENTRE * np.abs(a + self.width / 2.0 - middle)
+        pair = np.argmin(np.where((a >= low) & (b >= 0), np.round(both, 6), _NEVER), axis=1)
+        a, b = a[pair], b[pair]
+        easy, hard = np.clip(a, 0, rungs - 1), np.clip(b, 0, rungs - 1)
+        near = np.abs(beliefs.rate[every, easy] - self.share) <= np.abs(
+            beliefs.rate[every, hard] - self.share
+        )
+        free_low, free_high = a <= low[:, 0], b >= high[:, 0]
+        return np.where(free_low | (~free_high & ~near), hard, easy)
+
+
+def gains(beliefs: Beliefs, share: float) -> tuple[Array, Array]:
+    """Return what a trial gains for "cleared" and for "not cleared" at each rung, both (B, n)."""
+    found: list[Array] = []
+    for given, sign in ((beliefs.if_cleared, 1.0), (beliefs.if_not, -1.0)):
+        own = np.diagonal(given, axis1=1, axis2=2)
+        rate = np.clip((1.0 - _HOPE) * beliefs.rate + _HOPE * own, 1.0 - _CERTAIN, _CERTAIN)
+        usable = sign * (rate - share) > 0.0
+        found.append(np.where(usable, np.maximum(growth(rate, share), _LEAST_GAIN), _LEAST_GAIN))
+    return found[0], found[1]
