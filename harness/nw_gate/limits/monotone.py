@@ -64,13 +64,18 @@ def log_evidence(done: Array, missed: Array) -> float:
     free = sum(_log_predicted(int(d), int(m)) for d, m in zip(done, missed, strict=True))
     curves = Curves.over(len(done), 0.5)
     base = curves.prior + done @ curves.log_done + missed @ curves.log_failed
-    own = done[:, None] * curves.log_done + missed[:, None] * curves.log_failed
+    tried = np.flatnonzero(done + missed)
+    own = (
+        done[tried, None] * curves.log_done[tried] + missed[tried, None] * curves.log_failed[tried]
+    )
     logs = [np.array([free + log(_FREE)])]
     for weight, d, m, (log_off, log_rest) in zip(
         (_DIPS, _BUMPS), (done, missed), (missed, done), _one_off(len(done)), strict=True
     ):
-        moved = d[:, None] * log_off + m[:, None] * log_rest
+        moved = d[tried, None] * log_off[:, tried] + m[tried, None] * log_rest[:, tried]
         logs.append((base + moved - own).ravel() + log(weight / (len(_KEPT) * len(done))))
+        if len(tried) < len(done):  # A rung without trials may be off or not.
+            logs.append(base + log(weight * (len(done) - len(tried)) / len(done)))
     every = np.concatenate(logs)
     mixture = float(every.max() + log(same_bits.exp(every - every.max()).sum()))
     blocks: list[tuple[float, float]] = []

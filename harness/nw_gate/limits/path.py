@@ -5,6 +5,8 @@ the results before it on the path; so the path is the same for one worker and fo
 ahead of it: `ahead` names the trials that the path probably needs. A result is kept until the path
 reaches it, and one that the path never reaches counts for nothing, since nothing was staked on it.
 
+Of a limit that 19 trials find, two workers run 22 trials in 11 turns, and four 24 in 6.
+
 Many ladders at once need no trials ahead: each worker takes the next trial of another ladder.
 """
 

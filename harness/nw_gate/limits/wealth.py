@@ -68,7 +68,7 @@ class Wealth:
         """Return that of ladders without trials."""
         return cls(*(np.zeros((ladders, rungs)) for _ in fields(cls)))
 
-    def some(self, keep: NDArray[np.bool_]) -> Wealth:
+    def some(self, keep: NDArray[np.bool_] | Ints | slice) -> Wealth:
         """Return a copy of those ladders alone."""
         return Wealth(*(getattr(self, field.name)[keep] for field in fields(self)))
 
