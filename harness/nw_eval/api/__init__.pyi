@@ -22,6 +22,8 @@ from nw_eval.api.cache import prune_cache as prune_cache
 from nw_eval.api.cache import verify_cache as verify_cache
 from nw_eval.api.cause import FoundCause as FoundCause
 from nw_eval.api.cause import find_cause as find_cause
+from nw_eval.api.climbing import FoundLimits as FoundLimits
+from nw_eval.api.climbing import limits as limits
 from nw_eval.api.comparisons import compare as compare
 from nw_eval.api.comparisons import sim2real as sim2real
 from nw_eval.api.hub import PushedScene as PushedScene
@@ -108,5 +110,6 @@ from nw_eval.api.watching import WatchedCheckpoint as WatchedCheckpoint
 from nw_eval.api.watching import WatchedTraining as WatchedTraining
 from nw_eval.api.watching import watch as watch
 from nw_eval.engine.how import How as How
+from nw_eval.reporting.limits import LadderLimit as LadderLimit
 from nw_gate.results.request import Request as Request
 from nw_splat.files.convert import WrittenSplat as WrittenSplat

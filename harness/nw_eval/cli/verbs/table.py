@@ -69,6 +69,9 @@ Look:
   sensors Sensors reference/sensors.md draw what a policy's sensors see
     $ go1-act-rgb --out seen.png
 Stress:
+  limits Limits how-to/ladders.md find the hardest obstacle that a policy completes, with bounds
+    $ -p ./my-policy
+    $ hurdles/bar 'stairs/*' -p ./my-policy --baseline go1-parkour
   sweep SweepAxes how-to/perturbations.md evaluate a suite over friction, payload, latency ...
     $ hurdles --axis friction=0.3..1.2 --policy ./my-policy
 Bring your own:

@@ -1,0 +1,108 @@
+"""`nw-eval limits`: how far a policy can go on ladders of ever harder scenes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from nw_base.plural import plural
+from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.shared import AllowCode, NoCache, Workers
+
+if TYPE_CHECKING:
+    from nw_eval.api import FoundLimits
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """Find the hardest rung of each ladder that a policy still completes, with bounds.
+
+    A ladder is a row of scenes from easy to hard, such as bars of 0.10 to 0.62 m (`nw-eval scenes
+    ladders` lists them). Trials go where they decide most, so that a ladder takes some 20 to 50.
+    Writes limits.json, limits.md and limits.html.
+    """
+
+    ladders: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """Names or globs of ladders, such as hurdles/bar (default: all)."""
+    policy: Annotated[str, tyro.conf.arg(aliases=["-p"])]
+    """A shipped policy's name, a policy folder, a card, or hub:org/name[@revision]."""
+    baseline: str | None = None
+    """Another policy, on the same trials and in the same picture."""
+    robot: str | None = None
+    """A robot's name, such as go1, its folder, hub:org/name[@revision] or menagerie:NAME (default:
+    the card's)."""
+    checkpoint: Path | None = None
+    """Use these weights instead of the card's."""
+    share: float = 0.5
+    """A rung is cleared if the policy completes at least this share of its trials there."""
+    confidence: float = 0.95
+    """Confidence level of each bound."""
+    width: int = 2
+    """A search ends when its bounds are at most this many rungs apart."""
+    trials: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 120
+    """Trials of a ladder, at most."""
+    seed: int = 1
+    """Use a different seed for the initial states."""
+    out: Path | None = None
+    """A new folder (default: `reports/limits-<number>`)."""
+    workers: Workers = None
+    no_cache: NoCache = False
+    allow_code: AllowCode = False
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.terminal.interruption import INTERRUPTED
+        from nw_eval.cli.terminal.last_words import tell
+        from nw_eval.cli.terminal.progress import RunProgress
+
+        with RunProgress() as progress:
+            found = api.limits(
+                self.ladders,
+                policy=self.policy,
+                baseline=self.baseline,
+                robot=self.robot,
+                checkpoint=self.checkpoint,
+                share=self.share,
+                confidence=self.confidence,
+                width=self.width,
+                trials=self.trials,
+                seed=self.seed,
+                out=self.out,
+                allow_code=self.allow_code,
+                workers=self.workers,
+                cache=not self.no_cache,
+                listener=progress,
+            )
+        print(limits_json(found) if self.json else limits_text(found))
+        if found.interrupted:
+            tell("interrupted; the same command reuses the finished trials")
+            return INTERRUPTED
+        if errors := sum(each.errors for each in found.limits):
+            tell(f"{plural(errors, 'trial')} ended in errors; the same command tries them again")
+            return 4
+        return 0
+
+
+def limits_json(found: FoundLimits) -> str:
+    """Return limits as JSON."""
+    from nw_eval.api.climbing import limits_dict
+
+    return json.dumps(limits_dict(found), indent=1)
+
+
+def limits_text(found: FoundLimits) -> str:
+    """Return the table of limits, a sentence for each, and where the files are."""
+    from nw_eval.reporting.limits import limits_table, limits_words
+
+    table = limits_table(found.limits)
+    right = [place for place, name in enumerate(table.columns) if name in table.numbers]
+    parts = ["\n".join(aligned([table.columns, *table.rows], right=right))]
+    parts.append("\n".join(limits_words(found.limits)))
+    parts.append("\n".join(str(found.out / f"limits.{end}") for end in ("html", "md", "json")))
+    return "\n\n".join(parts)

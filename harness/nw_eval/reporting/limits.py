@@ -1,0 +1,195 @@
+"""Limits of policies: as a table, in Markdown, and as a page with a bar for each ladder.
+
+The files are `limits.md` and `limits.html`. A bar goes from the easiest rung to the hardest one
+that is shown to be cleared; what lies between both bounds is drawn lighter. The curve below it is
+what the trials suggest, and no claim rests on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nw_eval.reporting.html.environment import render
+from nw_eval.reporting.markdown import escaped, markdown_table, write_report
+from nw_eval.reporting.tables.table import Table
+
+if TYPE_CHECKING:
+    from nw_gate.limits.limit import Limit
+
+LEFT, RIGHT = 8.0, 552.0
+"""Edges of a bar's axis, in units of its drawing."""
+TOP, BOTTOM = 8.0, 88.0
+"""Edges of a curve's axis."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LadderLimit:
+    """A policy's limit on one ladder."""
+
+    policy: str
+    """The name of its folder."""
+    ladder: str
+    """The ladder's name, such as `hurdles/bar`."""
+    title: str
+    """What its rungs are, for people."""
+    limit: Limit
+    run: Path
+    """The folder of its trials."""
+    errors: int = 0
+    """Trials that ended in an error of the machine, without which the search could not go on."""
+
+
+def write_limits(limits: Sequence[LadderLimit], out: Path) -> None:
+    """Write the files of some limits.
+
+    Args:
+        limits: the limits.
+        out: the folder, which is there.
+
+    Raises:
+        StoreError: a file cannot be written.
+    """
+    parts = ["# Limits", escaped(_note(limits)), markdown_table(limits_table(limits))]
+    parts += ["\n".join(f"* {escaped(line)}" for line in limits_words(limits))]
+    write_report(out / "limits.md", "\n\n".join(parts) + "\n")
+    page = render(
+        "limits.html.j2",
+        note=_note(limits),
+        policies=list(dict.fromkeys(each.policy for each in limits)),
+        ladders=_drawn(limits),
+        table=limits_table(limits),
+        words=limits_words(limits),
+    )
+    write_report(out / "limits.html", page)
+
+
+def limits_table(limits: Sequence[LadderLimit]) -> Table:
+    """Return a line for each ladder and policy."""
+    return Table(
+        title="Limits",
+        columns=("ladder", "policy", "cleared up to", "not cleared at", "trials", "decided"),
+        rows=tuple(
+            (
+                each.ladder,
+                each.policy,
+                _value(each.limit, each.limit.ends[0]),
+                _value(each.limit, each.limit.ends[1]),
+                str(len(each.limit.trials)),
+                "yes" if each.limit.decided else "no",
+            )
+            for each in limits
+        ),
+        numbers=frozenset({"trials"}),
+    )
+
+
+def limits_words(limits: Sequence[LadderLimit]) -> list[str]:
+    """Return a sentence for each limit."""
+    several = len({each.policy for each in limits}) > 1
+    return [
+        f"{each.policy}, {each.limit.sentence}" if several else each.limit.sentence
+        for each in limits
+    ]
+
+
+def _value(limit: Limit, rung: int) -> str:
+    """Return a rung's value; "none" for what lies off the ladder."""
+    if not 0 <= rung < len(limit.ladder.rungs):
+        return "none"
+    return limit.ladder.says(limit.ladder.rungs[rung])
+
+
+def _note(limits: Sequence[LadderLimit]) -> str:
+    if not limits:
+        return "No ladder was climbed."
+    first = limits[0].limit
+    return (
+        f"A rung is cleared if the policy completes at least {100 * first.share:.4g} % of its "
+        f"trials there. Each bound holds with {100 * first.confidence:.4g} % confidence."
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawnLimit:
+    """One policy on one ladder, in units of its drawing."""
+
+    policy: str
+    style: int
+    """Which of the policies it is, from 0."""
+    cleared: float
+    """Where the bar ends: x of the hardest rung that is cleared."""
+    failed: float
+    """x of the easiest rung that is shown not to be cleared."""
+    bounds: tuple[str, str]
+    says: str
+    dots: tuple[tuple[float, str], ...]
+    """x and "k of n" of each rung that was tried."""
+    line: str
+    """The curve, as SVG's `path` takes it."""
+    band: str
+    """Its band, as SVG's `polygon` takes it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawnLadder:
+    """One ladder with its policies."""
+
+    name: str
+    title: str
+    easiest: str
+    hardest: str
+    limits: tuple[DrawnLimit, ...]
+
+
+def _drawn(limits: Sequence[LadderLimit]) -> list[DrawnLadder]:
+    policies = list(dict.fromkeys(each.policy for each in limits))
+    names = list(dict.fromkeys(each.ladder for each in limits))
+    found: list[DrawnLadder] = []
+    for name in names:
+        here = [each for each in limits if each.ladder == name]
+        ladder = here[0].limit.ladder
+        found.append(
+            DrawnLadder(
+                name=name,
+                title=here[0].title,
+                easiest=ladder.says(ladder.rungs[0]),
+                hardest=ladder.says(ladder.rungs[-1]),
+                limits=tuple(_limit(each, policies.index(each.policy)) for each in here),
+            )
+        )
+    return found
+
+
+def _limit(each: LadderLimit, style: int) -> DrawnLimit:
+    limit, count = each.limit, len(each.limit.ladder.rungs)
+
+    def x(rung: float) -> float:
+        share = (rung + 1.0) / (count + 1.0)
+        return round(LEFT + (RIGHT - LEFT) * min(1.0, max(0.0, share)), 1)
+
+    def y(rate: float) -> float:
+        return round(BOTTOM - (BOTTOM - TOP) * rate, 1)
+
+    low, high = limit.ends
+    curve = limit.curve
+    points = [(x(rung), y(point.rate)) for rung, point in enumerate(curve)]
+    upper = [(x(rung), y(point.high)) for rung, point in enumerate(curve)]
+    lower = [(x(rung), y(point.low)) for rung, point in enumerate(curve)]
+    return DrawnLimit(
+        policy=each.policy,
+        style=style,
+        cleared=x(low),
+        failed=x(high),
+        bounds=(_value(limit, low), _value(limit, high)),
+        says=limit.sentence,
+        dots=tuple(
+            (x(rung), f"{done} of {tried} at {limit.ladder.says(limit.ladder.rungs[rung])}")
+            for rung, (done, tried) in enumerate(zip(limit.completed, limit.tried, strict=True))
+            if tried
+        ),
+        line="M" + "L".join(f"{a:g} {b:g}" for a, b in points),
+        band=" ".join(f"{a:g},{b:g}" for a, b in [*upper, *reversed(lower)]),
+    )

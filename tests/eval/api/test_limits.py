@@ -1,0 +1,110 @@
+"""A search for limits from ladder to page, with policies that stand and walk."""
+
+import json
+
+import pytest
+
+from nw_base.errors import SceneError, UsageError
+from nw_eval import api
+from nw_eval.cli import main
+from nw_gate.limits.limit import Limit
+from nw_gate.results.row import rows_digest
+
+
+def rows_of(found):
+    (each,) = found.limits
+    return api.report(each.run).rows
+
+
+@pytest.fixture(scope="module")
+def standing(tmp_path_factory):
+    """What a policy that stands still clears of the stairs."""
+    out = tmp_path_factory.mktemp("limits") / "standing"
+    return api.limits(["stairs/up"], policy="stand", out=out, workers=1)
+
+
+def test_who_stands_still_clears_nothing_and_that_takes_ten_trials(standing):
+    (each,) = standing.limits
+    assert (each.policy, each.ladder) == ("stand", "stairs/up")
+    assert each.limit.lower is None
+    assert each.limit.upper.value == 0.1
+    assert each.limit.decided
+    assert len(each.limit.trials) <= 10
+    assert not standing.interrupted
+
+
+def test_the_trials_of_a_search_are_a_run_that_can_be_judged_again(standing):
+    rows = rows_of(standing)
+    (each,) = standing.limits
+    assert len(rows) == len(each.limit.trials)
+    assert {row.status for row in rows} == {"ok"}
+    assert not any(row.completed for row in rows)
+    assert all(row.scene.startswith("stairs/up@") for row in rows)
+    assert api.report(each.run).verdict.verdict == "RAN"
+
+
+def test_two_workers_find_the_same_limit_by_the_same_trials(standing, tmp_path):
+    again = api.limits(["stairs/up"], policy="stand", out=tmp_path / "again", workers=2)
+    assert again.limits[0].limit == standing.limits[0].limit
+    assert rows_digest(rows_of(again)) == rows_digest(rows_of(standing))
+
+
+def test_the_files_say_what_was_found(standing):
+    saved = json.loads((standing.out / "limits.json").read_text())
+    (each,) = saved["limits"]
+    assert (each["lower"], each["upper"], each["unit"]) == (None, 0.1, "m")
+    assert Limit.from_dict(each["limit"]) == standing.limits[0].limit
+    page = (standing.out / "limits.html").read_text()
+    assert "cleared: <strong>none</strong>, not cleared: <strong>0.1\u00a0m</strong>" in page
+    table = " ".join((standing.out / "limits.md").read_text().split())
+    assert "| stairs/up | stand | none | 0.1 m |" in table
+
+
+def test_rungs_of_a_perturbation_are_climbed_in_one_scene(tmp_path):
+    found = api.limits(
+        ["hurdles/one_low_carpet+strength"], policy="stand", out=tmp_path / "new", trials=4
+    )
+    rows = rows_of(found)
+    assert {row.scene for row in rows} == {"hurdles/one_low_carpet"}
+    assert {axis for row in rows for axis, _ in row.perturbation} == {"strength"}
+    assert len(rows) <= 4
+
+
+def test_what_cannot_be_climbed_is_said_before_anything_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SceneError, match=r"no ladder 'stairs/upp'.* did you mean 'stairs/up'"):
+        api.limits(["stairs/upp"], policy="stand")
+    with pytest.raises(UsageError, match=r"the rungs of open/field\+speed are commands"):
+        api.limits(["open/field+speed"], policy="stand")
+    with pytest.raises(UsageError, match="share 1 is not between 0 and 1"):
+        api.limits(["stairs/up"], policy="stand", share=1.0)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "notes.txt").write_text("mine")
+    with pytest.raises(UsageError, match="full is not empty"):
+        api.limits(["stairs/up"], policy="stand", out="full")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["full"]
+
+
+def test_the_command_prints_a_table_or_json(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["limits", "stairs/up", "-p", "stand", "-n", "3", "--workers", "1"]
+    for more in ([], ["--json"]):
+        with pytest.raises(SystemExit) as left:
+            main([*words, *more])
+        assert left.value.code == 0
+    printed = capsys.readouterr().out
+    table, _, rest = printed.partition("{")
+    assert "stairs/up  stand   none           none                 3  no" in table
+    assert "reports/limits-001/limits.html" in table
+    assert json.loads("{" + rest)["limits"][0]["decided"] is False
+
+
+@pytest.mark.nightly
+def test_a_walker_clears_what_the_published_completions_say(tmp_path):
+    """Completed 22 of 24 at 0.20 m, 14 of 24 at 0.22 m and 1 of 24 at 0.24 m."""
+    found = api.limits(["stairs/up"], policy="go1-parkour", out=tmp_path / "new")
+    limit = found.limits[0].limit
+    assert limit.decided
+    assert 0.16 <= limit.lower.value <= 0.22
+    assert 0.22 <= limit.upper.value <= 0.26
+    assert len(limit.trials) <= 60
