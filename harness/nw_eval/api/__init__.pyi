@@ -110,6 +110,6 @@ from nw_eval.api.watching import WatchedCheckpoint as WatchedCheckpoint
 from nw_eval.api.watching import WatchedTraining as WatchedTraining
 from nw_eval.api.watching import watch as watch
 from nw_eval.engine.how import How as How
-from nw_eval.reporting.limits import LadderLimit as LadderLimit
+from nw_eval.reporting.html.limits import LadderLimit as LadderLimit
 from nw_gate.results.request import Request as Request
 from nw_splat.files.convert import WrittenSplat as WrittenSplat

@@ -20,7 +20,7 @@ from nw_eval.api.paths import as_path
 from nw_eval.api.plans import plan
 from nw_eval.engine.how import How
 from nw_eval.engine.rounds import RunStanding
-from nw_eval.reporting.limits import LadderLimit, write_limits
+from nw_eval.reporting.html.limits import LadderLimit, write_limits
 from nw_gate.limits.find import LimitSearch
 from nw_gate.limits.ladder import Ladder, LimitTrial
 from nw_gate.results.request import Request

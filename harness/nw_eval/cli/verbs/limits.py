@@ -98,7 +98,7 @@ def limits_json(found: FoundLimits) -> str:
 
 def limits_text(found: FoundLimits) -> str:
     """Return the table of limits, a sentence for each, and where the files are."""
-    from nw_eval.reporting.limits import limits_table, limits_words
+    from nw_eval.reporting.html.limits import limits_table, limits_words
 
     table = limits_table(found.limits)
     right = [place for place, name in enumerate(table.columns) if name in table.numbers]
