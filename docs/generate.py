@@ -364,7 +364,8 @@ TOPICS: Mapping[str, str] = MappingProxyType(
     {
         "runs": """api engine gate.results.request gate.results.row""",
         "judging": """gate api.baselines api.baselines_saved api.baselines_verified api.comparisons
-            api.climbing api.ledgers reporting.html api.series api.sweeping api.verifying api.watching""",
+            api.climbing api.ledgers api.series api.sweeping api.verifying api.watching
+            reporting.html""",
         "logs": """viewing sim.rollout api.attribution api.cause api.replays api.site
             api.surfaces""",
         "policies": """policies sim.probe api.policies api.robots""",
