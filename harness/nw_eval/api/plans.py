@@ -396,11 +396,13 @@ def _matched(plan: Plan, against: LoadedBaseline) -> Plan:
     # Whether this machine type has the baseline's bits is found out by running something.
     known = against.info.model_copy(update={"checked": "bits"})
     setup = setup_of(run.model_copy(update={"baseline": known}), against, plan.suite.gate)
+    # From other initial states no result can be the baseline's: its own policy is compared, too.
+    is_elsewhere = plan.panel == "fresh" or against.results.manifest.held_out
     if setup.basis != "same":
         check_level(setup.panel, setup.judged, plan.suite.gate)
-    elif plan.panel == "fresh":  # No bits can be the baseline's: its own policy is compared, too.
+    elif is_elsewhere:
         setup.check_comparable()
-    is_own = setup.basis == "same" and plan.panel == "pinned" and plan.arm == "candidate"
+    is_own = setup.basis == "same" and not is_elsewhere and plan.arm == "candidate"
     return replace(plan, is_baseline=is_own)
 
 
