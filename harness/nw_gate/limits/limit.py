@@ -208,7 +208,7 @@ class Limit:
                 width=int(saved["width"]),
                 trials=trials,
                 staked=int(saved["staked"]),
-                expected=None if expected is None else float(expected),
+                expected=None if expected is None else _near(float(expected), len(rungs)),
             )
         except (KeyError, TypeError, ValueError, UsageError) as error:
             raise StoreError(
@@ -233,3 +233,14 @@ def _trials(pairs: Sequence[tuple[int, int]], rungs: int) -> tuple[tuple[int, bo
     if beyond:
         raise ValueError(f"a trial is at rung {beyond[0]} of {rungs}")
     return trials
+
+
+def _near(expected: float, rungs: int) -> float:
+    """Return a saved rung that was expected to be the limit.
+
+    Raises:
+        ValueError: it is far from the ladder.
+    """
+    if not -1.0 <= expected <= rungs:
+        raise ValueError(f"the limit was expected at rung {expected:g} of {rungs}")
+    return expected

@@ -101,6 +101,7 @@ def test_a_saved_limit_is_the_same():
         {"share": 2.0},
         {"confidence": "sure"},
         {"expected": []},
+        {"expected": float("inf")},
     ],
 )
 def test_a_damaged_limit_is_refused(damage):
