@@ -30,7 +30,7 @@ ASKED = {
     ("all", 2): 10,
     ("none", 2): 10,
 }
-"""The most trials on average, by shape and width, as issue 58 asks."""
+"""The most trials on average, by shape and width."""
 
 
 def most(share, count):
