@@ -2,7 +2,7 @@
 
 `python tests/gate/limits/limit_cells.py` writes `limit_cells.csv` and `limit_gate_cells.csv` anew.
 
-The three measured curves are those of go1-parkour on 24 starts a rung, which issue 58 has: bars,
+The three measured curves are those of go1-parkour on 24 initial states a rung: bars,
 gaps and stairs.
 """
 
