@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 MOST = 120
 """Trials of a ladder, at most: three measured ladders took 20 to 45."""
 _MOST_FOLDERS = 1000
-_EACH = 60
-"""Initial states of each rung that a search may ask for."""
 _DURATION = 12.0
 """Seconds of a trial, as in the shipped suites."""
 
@@ -120,7 +118,7 @@ def limits(
     rivals = [request]
     if baseline is not None:
         rivals.append(replace(request, policy=baseline, checkpoint=None))
-    plans = [(family, _planned(family, each)) for family in families for each in rivals]
+    plans = [(family, _planned(family, each, trials)) for family in families for each in rivals]
     folder = _folder(as_path(out))
     found: list[LadderLimit] = []
     interrupted = False
@@ -182,7 +180,7 @@ def _search(
     return LimitSearch(ladder, share=share, confidence=confidence, width=width, most=most)
 
 
-def _planned(family: SceneLadder, request: Request) -> Plan:
+def _planned(family: SceneLadder, request: Request, most: int) -> Plan:
     """Return the plan of all trials that a search may ask for, each with its place."""
     from nw_base.trials import MAX_TRIALS
     from nw_eval.engine.identity import policy_info
@@ -195,7 +193,8 @@ def _planned(family: SceneLadder, request: Request) -> Plan:
     if robot is None:
         assert request.policy is not None, "a policy is always named"
         robot = load_bundle(request.policy, checkpoint=request.checkpoint).card.robot
-    each = min(_EACH, MAX_TRIALS // len(family.rungs))
+    # A search may ask for all of its trials at one rung.
+    each = min(most, MAX_TRIALS // len(family.rungs))
     settings: dict[str, Any] = {
         "nw-eval": 1,
         "name": f"limits-{_plain(family.name)}",
