@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from nw_base.errors import StoreError, UsageError
 from nw_base.files.cache import atomic_path, made_place
+from nw_base.plural import plural
 from nw_eval.api.paths import as_path
 from nw_eval.api.plans import plan
 from nw_eval.engine.how import How
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 MOST = 120
 """Trials of a ladder, at most: three measured ladders took 20 to 45."""
 _MOST_FOLDERS = 1000
+_LONGEST_NAME = 60
+"""Characters of a suite's name."""
 _DURATION = 12.0
 """Seconds of a trial, as in the shipped suites."""
 
@@ -100,6 +103,8 @@ def limits(
     from nw_sim.rollout.confined.start import prepare
 
     means = How.of(how, "workers", "cache", "listener")
+    if seed < 0:
+        raise UsageError(f"--seed {seed} is below 0", fix="give 0 or more")
     families = _families(ladders)
     for family in families:  # What cannot be used is said before anything runs.
         _search(family, share, confidence, width, trials)
@@ -118,18 +123,23 @@ def limits(
     rivals = [request]
     if baseline is not None:
         rivals.append(replace(request, policy=baseline, checkpoint=None))
-    plans = [(family, _planned(family, each, trials)) for family in families for each in rivals]
+    plans = [(family, [_planned(family, each, trials) for each in rivals]) for family in families]
+    labels = _labels(plans[0][1])
     folder = _folder(as_path(out))
+    names = _folder_names([family.name for family in families])
     found: list[LadderLimit] = []
     interrupted = False
-    for family, planned in plans:
+    climbs = [
+        (family, label, planned, folder / name / f"{number}")
+        for (family, both), name in zip(plans, names, strict=True)
+        for number, (label, planned) in enumerate(zip(labels, both, strict=True), 1)
+    ]
+    for family, label, planned, run in climbs:
         search = _search(family, share, confidence, width, trials)
-        number = 1 + sum(each.ladder == family.name for each in found)
-        run = folder / _plain(family.name) / f"{number}"
         interrupted, errors = _climb(planned, family, search, means, run)
         found.append(
             LadderLimit(
-                policy=_policy_name(planned),
+                policy=label,
                 ladder=family.name,
                 title=_title(family),
                 limit=search.limit,
@@ -137,12 +147,45 @@ def limits(
                 errors=errors,
             )
         )
+        # Written after each: what ends a later search costs no earlier one.
+        whole = FoundLimits(out=folder, limits=tuple(found), interrupted=interrupted)
+        _write_json(whole, folder / "limits.json")
+        write_limits(whole.limits, folder)
         if interrupted:
             break
-    whole = FoundLimits(out=folder, limits=tuple(found), interrupted=interrupted)
-    _write_json(whole, folder / "limits.json")
-    write_limits(whole.limits, folder)
-    return whole
+    return FoundLimits(out=folder, limits=tuple(found), interrupted=interrupted)
+
+
+def _labels(plans: Sequence[Plan]) -> list[str]:
+    """Return what each policy is called: its folder, with a digest where that is not enough.
+
+    Raises:
+        UsageError: the baseline is the policy itself.
+    """
+    from nw_eval.engine.identity import policy_info
+
+    infos = [policy_info(each.bundle) for each in plans]
+    names = [info.folder_name for info in infos]
+    if len({info.key for info in infos}) < len(infos):
+        raise UsageError(
+            f"--baseline {names[-1]} is the policy itself",
+            fix="name another policy, or leave it out",
+        )
+    if len(set(names)) == len(names):
+        return names
+    return [f"{info.folder_name} ({info.short_digest})" for info in infos]
+
+
+def _folder_names(ladders: Sequence[str]) -> list[str]:
+    """Return a folder's name for each ladder, which no other one has."""
+    found: list[str] = []
+    for name in ladders:
+        plain = _plain(name) or "ladder"
+        number = 1
+        while (own := plain if number == 1 else f"{plain}-{number}") in found:
+            number += 1
+        found.append(own)
+    return found
 
 
 def _families(names: Sequence[str]) -> list[SceneLadder]:
@@ -160,7 +203,9 @@ def _families(names: Sequence[str]) -> list[SceneLadder]:
     found: list[SceneLadder] = []
     for name in names:
         matching = [each for each in known if fnmatchcase(each.name, name)]
-        found += matching or [ladder_named(name)]
+        # A glob means what can be climbed of what it matches.
+        climbable = [each for each in matching if not each.rungs[0].command]
+        found += climbable or matching or [ladder_named(name)]
     if not names:
         found = [each for each in known if "+" not in each.name]
     for each in found:
@@ -197,7 +242,7 @@ def _planned(family: SceneLadder, request: Request, most: int) -> Plan:
     each = min(most, MAX_TRIALS // len(family.rungs))
     settings: dict[str, Any] = {
         "nw-eval": 1,
-        "name": f"limits-{_plain(family.name)}",
+        "name": f"limits-{_plain(family.name)}"[:_LONGEST_NAME].rstrip("-."),
         "robot": robot,
         "policy": request.policy,
         "trials": each,
@@ -275,15 +320,16 @@ class _Climb:
                 self._search.tell(self._known[place], row.completed)
             else:
                 self.errors += 1
-        if self._search.next is None:
-            return RunStanding(first=0, followed=self._counted())
-        ahead = self._search.ahead(self._workers)
-        pending = tuple(self._places[trial] for trial in ahead if trial in self._places)
-        return RunStanding(
-            first=0,
-            followed=self._counted(),
-            pending=tuple(place for place in pending if place not in ended),
+        counted, needed = self._counted(), self._search.next
+        word = "decided" if self._search.limit.decided else "undecided"
+        done = RunStanding(
+            first=0, followed=counted, says=f"{word} after {plural(len(counted), 'trial')}"
         )
+        # Without the trial that is needed no other one counts.
+        if needed is None or self._places.get(needed, -1) in {-1, *ended}:
+            return done
+        ahead = [self._places[trial] for trial in self._search.ahead(self._workers)]
+        return replace(done, pending=tuple(place for place in ahead if place not in ended))
 
     def run_control(self, indexes: Sequence[int]) -> None:
         """Run nothing: a search has no control."""
@@ -311,12 +357,6 @@ def _title(family: SceneLadder) -> str:
 def _plain(name: str) -> str:
     """Return a ladder's name as a suite or a folder may be called."""
     return re.sub(r"[^A-Za-z0-9_.-]+", "-", name).strip("-.")
-
-
-def _policy_name(plan: Plan) -> str:
-    from nw_eval.engine.identity import policy_info
-
-    return policy_info(plan.bundle).folder_name
 
 
 def limits_dict(found: FoundLimits) -> dict[str, Any]:

@@ -48,8 +48,8 @@ def continued(run: Path, request: Request) -> Plan:
         )
     if info.drawn_for is not None and not (info.is_recheck or info.goes_by_rounds):
         raise IncomparableError(
-            f"cannot resume {run}: `nw-eval attribute` chose its initial states from another run",
-            fix="run `nw-eval attribute --cause` again; finished trials come from the cache",
+            f"cannot resume {run}: `nw-eval attribute` or `nw-eval limits` chose its trials",
+            fix="run that command again; finished trials come from the cache",
         )
     if request.shard is not None and request.shard != info.request.shard:
         was = "all of its trials" if info.shard is None else str(info.shard)

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from nw_gate.results.run_folder import RunFolder
     from nw_policies import Bundle
 
+_SECONDS = 300.0
+"""Wall time of such a trial, at most: a report is not to wait for a policy that hangs."""
 _AT_ONCE = 2
 """Trials of the baseline's policy that run at a time, each in a process of its own."""
 
@@ -75,7 +77,9 @@ def with_baseline_films(
     if not filmed or not name or (is_same and policy.card_digest == run.policy.card_digest):
         return evidence
     wanted = [
-        _Wanted.of(clip, rows[clip.trial_id], logs[clip.trial_id], policy, kept) for clip in filmed
+        _Wanted.of(clip, rows[clip.trial_id], logs[clip.trial_id], policy, kept)
+        for clip in filmed
+        if clip.trial_id in rows and clip.trial_id in logs
     ]
     films = {each.trial: film for each in wanted if (film := _kept_film(kept, each.key))}
     missing = [each for each in wanted if each.trial not in films]
@@ -175,21 +179,31 @@ def _made(
         if to_run:
             bundle = _bundle(policy, str(run.suite.get("robot", "")), allow_code=allows)
 
-            def run_one(number: int) -> Path:
+            faults: list[NwEvalError] = []
+
+            def run_one(number: int) -> Path | None:
                 out = scratch / f"{number}.mcap"
-                take_over_apart(
-                    to_run[number].log,
-                    start=0.0,
-                    policy=bundle.reference,
-                    allow_code=allows,
-                    out=out,
-                    record="none",
-                )
+                try:
+                    take_over_apart(
+                        to_run[number].log,
+                        start=0.0,
+                        policy=bundle.reference,
+                        allow_code=allows,
+                        out=out,
+                        record="none",
+                        time_limit=_SECONDS,
+                    )
+                except NwEvalError as error:  # It costs its own film alone.
+                    faults.append(error)
+                    return None
                 return out
 
             with ThreadPoolExecutor(max_workers=_AT_ONCE) as pool:
                 made = list(pool.map(run_one, range(len(to_run))))
-            found |= {each.trial: path for each, path in zip(to_run, made, strict=True)}
+            found |= {each.trial: path for each, path in zip(to_run, made, strict=True) if path}
+            if not found:
+                raise faults[0]
+        wanted = [each for each in wanted if each.trial in found]
         jobs = {each.trial: read_logged_trial(found[each.trial]).job for each in wanted}
         scenes = {
             each.scene: (job.scene, open_scene(job.scene, job.collision))

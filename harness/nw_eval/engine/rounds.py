@@ -56,10 +56,14 @@ class RunStanding:
     """Scenes that hold a PASS back, of which no trial is left to run."""
     lacks: tuple[int, ...] = ()
     """Places of the control's trials that are to run before any further one of the run's own."""
+    says: str = ""
+    """Why no further trial runs; empty = as of a comparison with a baseline."""
 
 
 def _ended(standing: RunStanding, ran: int, of: int) -> str:
     """Return why no further trial runs."""
+    if standing.says:
+        return standing.says
     if standing.waits_for:
         return (
             f"undecided after {plural(ran, 'trial')}: {', '.join(standing.waits_for)} "

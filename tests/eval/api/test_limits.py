@@ -1,14 +1,18 @@
 """A search for limits from ladder to page, with policies that stand and walk."""
 
 import json
+import shutil
 
 import pytest
 
 from nw_base.errors import SceneError, UsageError
 from nw_eval import api
+from nw_eval.api.climbing import _folder_names
 from nw_eval.cli import main
+from nw_eval.engine.listener import NullListener
 from nw_gate.limits.limit import Limit
 from nw_gate.results.row import rows_digest
+from nw_policies import find_card
 
 
 def rows_of(found):
@@ -83,6 +87,44 @@ def test_what_cannot_be_climbed_is_said_before_anything_runs(tmp_path, monkeypat
     with pytest.raises(UsageError, match="full is not empty"):
         api.limits(["stairs/up"], policy="stand", out="full")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["full"]
+
+
+def test_two_policies_of_one_name_are_told_apart_and_one_is_not_compared_with_itself(tmp_path):
+    own = tmp_path / "stand"
+    shutil.copytree(find_card("stand").parent, own)
+    card = own / "policy.yaml"
+    card.write_text(card.read_text().replace("control: {", "control: {kp: 25, ", 1))
+    found = api.limits(
+        ["stairs/up"], policy="stand", baseline=str(own), trials=1, out=tmp_path / "two"
+    )
+    one, two = (each.policy for each in found.limits)
+    assert one != two
+    assert one.startswith("stand (")
+    assert two.startswith("stand (")
+    with pytest.raises(UsageError, match="--baseline stand is the policy itself"):
+        api.limits(["stairs/up"], policy="stand", baseline="stand")
+
+
+def test_ladders_whose_names_are_alike_have_folders_of_their_own():
+    names = ["a/b", "a-b", "./a-b", "\u043b\u0430\u0434"]
+    assert _folder_names(names) == ["a-b", "a-b-2", "a-b-3", "ladder"]
+
+
+def test_a_seed_below_zero_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="--seed -1 is below 0"):
+        api.limits(["stairs/up"], policy="stand", seed=-1, out=tmp_path / "new")
+
+
+def test_a_search_that_is_cut_short_is_called_undecided(tmp_path):
+    heard = []
+
+    class Hearing(NullListener):
+        def message(self, text):
+            heard.append(text)
+
+    api.limits(["stairs/up"], policy="stand", trials=2, out=tmp_path / "new", listener=Hearing())
+    assert "undecided after 2 trials" in heard
+    assert not any("decided after" in text and "undecided" not in text for text in heard)
 
 
 def test_the_command_prints_a_table_or_json(tmp_path, monkeypatch, capsys):

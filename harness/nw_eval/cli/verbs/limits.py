@@ -81,12 +81,18 @@ class Limits:
             )
         print(limits_json(found) if self.json else limits_text(found))
         if found.interrupted:
-            tell("interrupted; the same command reuses the finished trials")
+            tell(f"interrupted; {self._again()}")
             return INTERRUPTED
         if errors := sum(each.errors for each in found.limits):
-            tell(f"{plural(errors, 'trial')} ended in errors; the same command tries them again")
+            tell(f"{plural(errors, 'trial')} ended in errors; {self._again()}")
             return 4
         return 0
+
+    def _again(self) -> str:
+        """Return how to go on."""
+        another = " with another --out" if self.out is not None else ""
+        reuses = "" if self.no_cache else ", which reuses the finished trials"
+        return f"give the same command{another} again{reuses}"
 
 
 def limits_json(found: FoundLimits) -> str:

@@ -23,6 +23,8 @@ _MOST_POINTS = 150
 """Of a line: finer than a pixel of the chart nothing is to be seen."""
 _LEAST_SPEED = 0.5
 """Upper end of the speed axis at least, m/s: a robot that stands still draws a flat line."""
+_FASTEST = 1000.0
+"""m/s from which on a path says nothing: physics diverged, or somebody made it up."""
 _STEPS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 60.0, 300.0, 1800.0)
 """Seconds between two labels of the time axis: the first with at most six labels."""
 
@@ -59,14 +61,14 @@ def timeline(row: Row, path: WalkedPath, rival: Row | Start | None = None) -> Ti
             times; a trial that ran beside the candidate has.
     """
     times, speeds = _speeds(path, row.sim_s)
-    if not len(speeds):
+    if not len(speeds) or not np.isfinite(speeds).all() or speeds.max() > _FASTEST:
         return None
     others = rival.waypoint_times if isinstance(rival, Row) else ()
     span = max(row.sim_s, *others, times[-1], 1e-3)
     top = max(_LEAST_SPEED, float(np.ceil(10.0 * speeds.max())) / 10.0)
 
     def x(time: float) -> float:
-        return round(LEFT + (RIGHT - LEFT) * min(1.0, time / span), 1)
+        return round(LEFT + (RIGHT - LEFT) * min(1.0, max(0.0, time / span)), 1)
 
     def y(speed: float) -> float:
         return round(BOTTOM - (BOTTOM - TOP) * speed / top, 1)
@@ -100,7 +102,7 @@ def _speeds(path: WalkedPath, end: float) -> tuple[NDArray[np.float64], NDArray[
 
 
 def _ticks(span: float) -> list[float]:
-    step = next((each for each in _STEPS if span / each <= 6.0), _STEPS[-1])
+    step = next((each for each in _STEPS if span / each <= 6.0), span / 6.0)
     return [step * k for k in range(int(span / step) + 1)]
 
 

@@ -118,6 +118,7 @@ def take_over_apart(
     out: Path | None = None,
     video: Path | None = None,
     record: Record = "all",
+    time_limit: float = TIME_LIMIT,
 ) -> TakeoverReport:
     """As `take_over`, in a process of its own.
 
@@ -143,6 +144,7 @@ def take_over_apart(
             ready,
             **_asked(path, policy, checkpoint, allow_code=allow_code),
             start=start,
+            limit=time_limit,
             record=record,
             out=None if out is None else str(folder / _LOG),
             video=None if video is None else str(folder / _VIDEO),
@@ -182,12 +184,19 @@ def _path(text: str | None) -> Path | None:
     return None if text is None else Path(text)
 
 
-def _called(function: Callable[..., Any], path: Path, ready: _Readied, **arguments: Any) -> Any:
+def _called(
+    function: Callable[..., Any],
+    path: Path,
+    ready: _Readied,
+    *,
+    limit: float = TIME_LIMIT,
+    **arguments: Any,
+) -> Any:
     return call_isolated(
         function,
         subject=str(path),
         rules=ready.rules,
-        time_limit=TIME_LIMIT,
+        time_limit=limit,
         renders=ready.renders,
         policy_process=ready.policy,
         **arguments,

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from gate_cells import ALL, HURDLES, recorded_cells, reference_of
+from gate_cells import ALL, HURDLES, baseline_of, recorded_cells
 from measured import SEEN
 from record_gate_page import (
     BOUND,
@@ -59,10 +59,10 @@ def test_the_operating_curve_is_near_the_gates_that_were_recorded(baseline, agai
         if (cell.question, cell.kind, cell.alpha_regr) == ("power", "harder", 0.01)
         and (cell.baseline, cell.claim) == (baseline, against)
     }
-    start = outset(reference_of(baseline))
+    start = outset(baseline_of(baseline))
     tiers = ("supporting",) * start.scenes
     if against == "fresh" and start.rules.tiers == tiers:  # As on the page.
-        points = [point for point in curve(reference_of(baseline)) if point.drop in cells]
+        points = [point for point in curve(baseline_of(baseline)) if point.drop in cells]
     else:
         rules, drops = replace(start.rules, tiers=tiers), tuple(cells)
         points = operating_curve(
@@ -94,7 +94,7 @@ def test_the_page_sums_up_the_recorded_gates():
 
 
 def test_one_scene_of_sixteen_that_falls_to_half_passes_or_convicts_as_the_page_says():
-    start, scene = outset(reference_of(HURDLES)), 14
+    start, scene = outset(baseline_of(HURDLES)), 14
     drawn = draw(
         start.seen,
         starts=None,
