@@ -14,11 +14,12 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nw_base.errors import StoreError, UsageError
-from nw_base.files.cache import atomic_path, made_place
+from nw_base.errors import UsageError
+from nw_base.files.cache import atomic_path
 from nw_base.plural import plural
 from nw_eval.api.paths import as_path
 from nw_eval.api.plans import plan
+from nw_eval.api.sweeping import result_folder
 from nw_eval.engine.how import How
 from nw_eval.engine.rounds import RunStanding
 from nw_eval.reporting.html.limits import LadderLimit, write_limits
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 
 MOST = 120
 """Trials of a ladder, at most: three measured ladders took 20 to 45."""
-_MOST_FOLDERS = 1000
 _LONGEST_NAME = 60
 """Characters of a suite's name."""
 _DURATION = 12.0
@@ -125,7 +125,7 @@ def limits(
         rivals.append(replace(request, policy=baseline, checkpoint=None))
     plans = [(family, [_planned(family, each, trials) for each in rivals]) for family in families]
     labels = _labels(plans[0][1])
-    folder = _folder(as_path(out))
+    folder = result_folder(as_path(out), "limits")
     names = _folder_names([family.name for family in families])
     found: list[LadderLimit] = []
     interrupted = False
@@ -386,31 +386,3 @@ def limits_dict(found: FoundLimits) -> dict[str, Any]:
 def _write_json(found: FoundLimits, path: Path) -> None:
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(limits_dict(found), indent=1) + "\n", encoding="utf-8")
-
-
-def _folder(out: Path | None) -> Path:
-    """Make the folder of the search.
-
-    Raises:
-        UsageError: it holds something.
-        StoreError: it cannot be made.
-    """
-    if out is not None:
-        if out.is_dir() and any(out.iterdir()):
-            raise UsageError(f"{out} is not empty", fix="give a new folder with --out")
-        made_place(out)
-        return out
-    root = Path("reports")
-    made_place(root)
-    for number in range(1, _MOST_FOLDERS):
-        path = root / f"limits-{number:03d}"
-        try:
-            path.mkdir()
-        except FileExistsError:
-            continue
-        except OSError as error:
-            raise StoreError(
-                f"cannot make {path}: {error.strerror}", fix="choose another folder with --out"
-            ) from error
-        return path
-    raise StoreError(f"{_MOST_FOLDERS} folders of limits exist", fix="choose one with --out")

@@ -91,6 +91,11 @@ def with_baseline_films(
             why = clean(str(error), at_most=300)
             remarks = (f"The baseline's policy is not shown beside the worst trials: {why}.",)
             made = {}
+        else:
+            if lost := [each.trial for each in missing if each.trial not in made]:
+                which = ", ".join(lost)
+                why = "its trial could not be run or drawn"
+                remarks = (f"The baseline's policy is not shown beside {which}: {why}.",)
         for each in missing:
             if (film := made.get(each.trial)) is not None:
                 films[each.trial] = film

@@ -94,7 +94,7 @@ def sweep(
         for axis in swept
         for number, rival in enumerate(rivals)
     ]
-    suite, folder = bases[0].suite.name, _folder(out, bases[0].suite.name)
+    suite, folder = bases[0].suite.name, result_folder(out, f"{bases[0].suite.name}-sweep")
     found: dict[str, list[AxisCurve]] = {}
     interrupted = False
     for name, number, planned in plans:
@@ -141,8 +141,12 @@ def _labels(names: Sequence[str]) -> list[str]:
     return [f"{name} ({n + 1})" if names.count(name) > 1 else name for n, name in enumerate(names)]
 
 
-def _folder(out: Path | None, suite: str) -> Path:
-    """Make the folder of a sweep.
+def result_folder(out: Path | None, stem: str) -> Path:
+    """Make the folder of several runs.
+
+    Args:
+        out: a new or empty one; None = `reports/<stem>-<number>`.
+        stem: what its name begins with, such as `hurdles-sweep`.
 
     Raises:
         UsageError: it holds something.
@@ -154,9 +158,9 @@ def _folder(out: Path | None, suite: str) -> Path:
                 raise UsageError(f"{out} is not empty", fix="give a new folder with --out")
             made_place(out)
             return out
-        name = re.sub(r"[^A-Za-z0-9_.-]+", "-", suite)
+        name = re.sub(r"[^A-Za-z0-9_.-]+", "-", stem)
         for number in range(1, _MOST_FOLDERS):
-            path = Path("reports") / f"{name}-sweep-{number:03d}"
+            path = Path("reports") / f"{name}-{number:03d}"
             path.parent.mkdir(parents=True, exist_ok=True)
             try:
                 path.mkdir()
@@ -168,4 +172,4 @@ def _folder(out: Path | None, suite: str) -> Path:
             f"cannot make {error.filename}: {error.strerror}",
             fix="choose another folder with --out",
         ) from error
-    raise StoreError(f"{_MOST_FOLDERS} sweeps of {suite} exist", fix="choose a folder with --out")
+    raise StoreError(f"{_MOST_FOLDERS} folders {stem} exist", fix="choose one with --out")

@@ -22,7 +22,8 @@ class Limits:
     """Find the hardest rung of each ladder that a policy still completes, with bounds.
 
     A ladder is a row of scenes from easy to hard, such as bars of 0.10 to 0.62 m (`nw-eval scenes
-    ladders` lists them). Trials go where they decide most, so that a ladder takes some 20 to 50.
+    ladders` lists them). Trials go where they decide most, so that a ladder usually takes
+    20 to 60 of them.
     Writes limits.json, limits.md and limits.html.
     """
 

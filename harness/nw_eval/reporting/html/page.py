@@ -23,7 +23,7 @@ from nw_eval.reporting.headline import (
     how_sure,
     stopped_early,
 )
-from nw_eval.reporting.html.drawn import course, gauges, plan_views
+from nw_eval.reporting.html.drawn import Timeline, course, gauges, plan_views, timeline
 from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.html.evidence import (
     NO_EVIDENCE,
@@ -32,7 +32,6 @@ from nw_eval.reporting.html.evidence import (
     clips_that_fit,
     pictures_that_fit,
 )
-from nw_eval.reporting.html.timeline import Timeline, timeline
 from nw_eval.reporting.tables import NO_RIVALS, Rivals, named_tables
 from nw_eval.reporting.tables.run import label_name, throughput
 from nw_eval.reporting.tables.table import WORST, judged

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from nw_base.errors import TrialError
 from nw_eval.api import evidence_baseline
 from nw_eval.api.evidence import KeptEvidence
 from nw_eval.api.evidence_baseline import with_baseline_films
@@ -12,6 +13,7 @@ from nw_gate.results.evidence_check import present_logs
 from nw_gate.results.provenance import BaselineInfo
 from nw_gate.results.run_folder import RunFolder
 from nw_policies import find_card, load_bundle
+from nw_sim.rollout.replaying import apart
 
 
 @pytest.fixture
@@ -94,6 +96,23 @@ def test_a_policy_that_changed_since_is_not_shown_and_said(recorded, filmed):
     (remark,) = found.remarks[len(recorded.evidence.remarks) :]
     assert remark.startswith("The baseline's policy is not shown beside the worst trials: ")
     assert remark.endswith("is no longer the policy that the baseline was saved with.")
+
+
+def test_a_trial_that_fails_costs_its_own_film_and_is_named(recorded, filmed, monkeypatch):
+    lost = recorded.evidence.clips[0].trial_id
+    works = apart.take_over_apart
+
+    def fails_once(path, **settings):
+        if path.name == f"{lost}.mcap":
+            raise TrialError("the policy gave no answer")
+        return works(path, **settings)
+
+    monkeypatch.setattr(apart, "take_over_apart", fails_once)
+    found = filmed(saved_with("go1-parkour"), None)
+    assert [clip.trial_id for clip in found.clips if clip.baseline is None] == [lost]
+    assert found.remarks[-1] == (
+        f"The baseline's policy is not shown beside {lost}: its trial could not be run or drawn."
+    )
 
 
 def test_the_baseline_s_own_policy_is_not_shown_twice(recorded, filmed):

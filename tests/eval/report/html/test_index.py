@@ -1,10 +1,13 @@
 """The page over many runs: a line for each policy, named as people know it, with where it is of."""
 
 import re
+from importlib.resources import files
 from itertools import pairwise
+from types import SimpleNamespace
 
 import pytest
 
+from nw_eval.reporting.html.environment import _environment
 from nw_eval.reporting.html.runs import LEFT, MOST, RIGHT, ListedRun, Result, chart, render_index
 from nw_eval.suite import Gate
 from nw_gate.absolute import judge
@@ -119,6 +122,15 @@ def test_names_of_lines_that_end_together_stand_below_each_other():
     assert min(b - a for a, b in pairwise(heights)) >= 15.0
     assert heights[0] > 0.0
     assert heights[-1] < 250.0
+
+
+def test_a_dashed_line_has_its_colour_and_its_dashes():
+    """A class that ran into the one before was neither."""
+    source = files("nw_eval.reporting").joinpath("templates/index.html.j2").read_text("utf-8")
+    (opening,) = re.findall(r"<g class=.*>", source)
+    line = SimpleNamespace(style=1, dashed=True)
+    found = _environment().from_string(opening).render(line=line)
+    assert found == '<g class="l1 dashed">'
 
 
 @pytest.mark.parametrize("span", [0.0, 0.4, 7, 50, 170, 2000, 9000, 40_000, 3e5, 4e6, 9e7, 1e9])

@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
+from nw_eval.reporting.html.drawn import BOTTOM, LEFT, RIGHT, TOP, timeline
 from nw_eval.reporting.html.evidence import WalkedPath
-from nw_eval.reporting.html.timeline import BOTTOM, LEFT, RIGHT, TOP, timeline
 
 
 def walked(speeds, period=0.1, **facts):
