@@ -186,6 +186,42 @@ class ScoreGate(Strict):
         return None
 
 
+class LadderGate(Strict):
+    """What a policy's limit on one ladder must show, in the unit of the ladder's rungs."""
+
+    at_least: float | None = Field(
+        None,
+        description="Value that the limit must reach, statistically significant; on a ladder whose "
+        "values fall, the limit must be at most this.",
+    )
+    max_drop: float | None = Field(
+        None,
+        gt=0.0,
+        description="Change for the worse against the baseline's limit that must not pass.",
+    )
+    tolerate: float = Field(
+        0.0, ge=0.0, description="Equivalence margin: change for the worse that counts as equal."
+    )
+    share: float = Field(
+        0.5,
+        gt=0.0,
+        lt=1.0,
+        description="A rung is cleared if the policy completes at least this share of its trials "
+        "there.",
+    )
+    trials: int = Field(
+        120, ge=1, le=1000, description="Trials of the ladder, at most; then it is INCONCLUSIVE."
+    )
+
+    @model_validator(mode="after")
+    def _asks_for_something(self) -> Self:
+        if self.at_least is None and self.max_drop is None:
+            raise ValueError("neither at_least nor max_drop is set; set one")
+        if self.tolerate > (self.max_drop or 0.0):
+            raise ValueError(f"tolerate {self.tolerate:g} is over max_drop; lower it")
+        return self
+
+
 def tier_of(scene: str, tiers: Mapping[str, Tier]) -> Tier:
     """Return the tier of a scene; its exact name wins over globs, then the first glob."""
     if scene in tiers:
@@ -204,7 +240,7 @@ eight gates, 200 in six of seven (tests/gate/stats/baseline/test_few_scenes.py).
 class Gate(Grown):
     """What a run must show to pass."""
 
-    came_later = ("validity", "claim", "scores", "rounds", "least_starts")
+    came_later = ("validity", "claim", "scores", "limits", "rounds", "least_starts")
 
     success_rate: float | None = Field(
         None,
@@ -290,6 +326,12 @@ class Gate(Grown):
         description="Scores that are judged beside success, each with `bar`, `max_drop` or both, "
         "in its own unit. All trials of the budget run then.",
     )
+    limits: dict[KeyPattern, LadderGate] = Field(
+        {},
+        description="Ladders on which the policy's limit is judged, by name (`nw-eval scenes "
+        "ladders` lists them; a folder with a ladder.yaml is one), each with `at_least`, "
+        "`max_drop` or both. Their trials run after those of the scenes.",
+    )
     validity: Validity | None = Field(
         None,
         description="Limits beyond which a trial has left the captured volume; such trials are "
@@ -317,8 +359,8 @@ class Gate(Grown):
 
     @property
     def shared(self) -> int:
-        """Over how many scores, success among them, the errors of REGRESSED are split."""
-        return 1 + len(self.scores)
+        """Over how many scores and limits, success among them, errors of REGRESSED are split."""
+        return 1 + len(self.scores) + len(self.limits)
 
     @property
     def most_drop(self) -> float:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_base.errors import IncomparableError, UsageError, nearest
+from nw_gate.limits.limit import Limit
 from nw_gate.results.baseline import BaselineKey, BaselineResults, Panel, Start, key_of
 from nw_gate.results.column import Settings
 from nw_gate.results.provenance import RunInfo
@@ -57,10 +58,14 @@ class Entrant:
     """Of the trials that came to one."""
     scores: Mapping[str, ScoreSpec] = field(default_factory=dict[str, ScoreSpec])
     """What was measured beside success, by name."""
+    limits: Mapping[str, Limit] = field(default_factory=dict[str, Limit])
+    """On the ladders of the suite's gate, by name."""
 
 
-def entrant_of_run(source: str, run: RunInfo, rows: Iterable[Row]) -> Entrant:
-    """Return what a run compares with."""
+def entrant_of_run(
+    source: str, run: RunInfo, rows: Iterable[Row], limits: Mapping[str, Limit] | None = None
+) -> Entrant:
+    """Return what a run compares with; its limits are those of the ladders that it climbed."""
     return Entrant(
         source=source,
         suite=str(run.suite.get("name", "")),
@@ -68,6 +73,7 @@ def entrant_of_run(source: str, run: RunInfo, rows: Iterable[Row]) -> Entrant:
         key=key_of(run),
         results=_named(row for row in rows if row.status == "ok"),
         scores=run.scores,
+        limits=limits or {},
     )
 
 
@@ -81,6 +87,9 @@ def entrant_of_baseline(source: str, baseline: BaselineResults, panel: Panel) ->
         results=_named(panel.starts),
         scores={
             name: cls.spec for name, cls in BUILT_IN.items() if name in baseline.manifest.scores
+        },
+        limits={
+            name: Limit.from_dict(saved.limit) for name, saved in baseline.manifest.limits.items()
         },
     )
 
@@ -218,6 +227,10 @@ class PolicyComparison:
     """In the order of the first policy's."""
     unmet: tuple[str, ...] = ()
     """Scenes that are not compared: not all have a result from them."""
+    limits: Mapping[str, tuple[Limit | None, ...]] = field(
+        default_factory=dict[str, "tuple[Limit | None, ...]"]
+    )
+    """Of each policy on each ladder that any of them climbed; None where it did not."""
 
     @property
     def starts(self) -> int:
@@ -291,6 +304,10 @@ def compared(entrants: Sequence[Entrant], confidence: float = 0.95) -> PolicyCom
         unmet=tuple(sorted({*entrants[0].key.scenes} - {*met[0]})),
         left_out=len({name for each in entrants for name in each.results})
         - len({name for scenes in met for names in scenes.values() for name in names}),
+        limits={
+            ladder: tuple(each.limits.get(ladder) for each in entrants)
+            for ladder in sorted({name for each in entrants for name in each.limits})
+        },
     )
 
 

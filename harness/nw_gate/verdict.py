@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 from warnings import warn
 
 from nw_base.plural import plural
@@ -15,6 +15,9 @@ from nw_gate.scores import ScoreSpec
 from nw_gate.stats.baseline.curve import CurvePoint
 from nw_gate.stats.hazard import Ends
 from nw_gate.stats.interval import Interval
+
+if TYPE_CHECKING:
+    from nw_gate.limits.limit import Limit
 
 Word = Literal["PASS", "RAN", "REGRESSED", "INCONCLUSIVE", "INFRASTRUCTURE", "INVALID"]
 
@@ -86,6 +89,26 @@ class ScoreFinding:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LimitFinding:
+    """What a run shows of the policy's limit on one ladder."""
+
+    ladder: str
+    """The ladder's name, such as `hurdles/bar`."""
+    title: str
+    """What its rungs are, for people."""
+    word: Word | None
+    """What the gate makes of it; None where it does not judge it."""
+    sentence: str
+    """Why."""
+    candidate: Limit | None = None
+    """The policy's limit; None where nothing ran."""
+    baseline: Limit | None = None
+    """That of the baseline's policy; None where the two are not compared."""
+    at_least: float | None = None
+    max_drop: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Verdict:
     """The verdict on one run.
 
@@ -107,6 +130,7 @@ class Verdict:
     against: Comparison | None = None  # What it also rests on; None without a baseline.
     left: frozenset[str] = frozenset()  # Trials that left the captured volume, by their names.
     scores: tuple[ScoreFinding, ...] = ()  # What was measured beside success.
+    limits: tuple[LimitFinding, ...] = ()  # Of the ladders that the gate names.
     failures: str = ""  # How most of the trials failed that count, in words; empty if none did.
 
     @property
@@ -143,6 +167,7 @@ class Verdict:
         return (
             *by,
             *(f"score {item.spec.name}" for item in self.scores if item.word == self.verdict),
+            *(f"the limit of {item.ladder}" for item in self.limits if item.word == self.verdict),
         )
 
     @property

@@ -312,7 +312,7 @@ class ConcurrentControl:
         from nw_eval.api.plans import baseline_plan
 
         self._folder, self._against, self._interrupts = own.folder, against, interrupts
-        self._plan = baseline_plan(plan, _bundle(plan, against, own.info))
+        self._plan = baseline_plan(plan, baseline_bundle(plan, against, own.info))
         nested = own.folder.baseline
         is_begun = what_is(nested.run_json) == "file"
         self._session = Session(
@@ -392,7 +392,7 @@ class ConcurrentControl:
         )
 
 
-def _bundle(plan: Plan, against: LoadedBaseline, run: RunInfo) -> Bundle:
+def baseline_bundle(plan: Plan, against: LoadedBaseline, run: RunInfo) -> Bundle:
     """Return the baseline's policy: where the request says, or the baseline.
 
     Raises:

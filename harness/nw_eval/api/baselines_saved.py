@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from nw_eval.api.baselines import BaselineTarget
-    from nw_gate.results.baseline import BaselineChange, BaselineResults
+    from nw_gate.results.baseline import BaselineChange, BaselineResults, SavedLimit
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
 
@@ -35,10 +35,11 @@ class SavedBaseline:
     """What became of a baseline."""
 
     file: Path
-    action: Literal["new", "panel", "unchanged", "renewed", "kept"]
-    """new: there was none. panel: it has this machine type now, too. unchanged: it had all of
-    this. renewed: it was replaced. kept: it would hold for something else, or say something else,
-    and is unchanged, because no renewal was asked for."""
+    action: Literal["new", "panel", "limits", "unchanged", "renewed", "kept"]
+    """new: there was none. panel: it has this machine type now, too. limits: it has the limits on
+    ladders now, too. unchanged: it had all of this. renewed: it was replaced. kept: it would hold
+    for something else, or say something else, and is unchanged, because no renewal was asked
+    for."""
     baseline: BaselineResults
     """The baseline that is there now; for `kept` the one that would be."""
     change: BaselineChange | None = None
@@ -93,6 +94,7 @@ def save_baseline(
         IncomparableError: the run makes no baseline.
     """
     from nw_eval.api.baselines import baseline_target, card_reference
+    from nw_eval.api.limit_climbs import baseline_limits
     from nw_eval.suite import load_suite
     from nw_gate.results.baseline_file import baseline_of_run
 
@@ -116,9 +118,11 @@ def save_baseline(
     if target is not None:
         scenes = len(target.plan.scenes) * len(target.plan.suite.perturb.cells)
         starts = trials or (earlier.manifest.starts if earlier else starts_for(scenes))
+        target = target.with_starts(starts)
         if earlier is not None and not renew and target.is_in(earlier, starts):
-            return SavedBaseline(file=file, action="unchanged", baseline=earlier)
-        info, rows = _new_results(target.with_starts(starts), how)
+            limits = baseline_limits(target.plan, how, target.work, earlier.manifest.limits)
+            return _with_limits(file, earlier, limits)
+        info, rows = _new_results(target, how)
     assert info is not None, "results are of a run, new or finished"
     _check_seen(rows, info)
     found = baseline_of_run(
@@ -130,6 +134,11 @@ def save_baseline(
         note=note or (earlier.manifest.note if earlier else ""),
         held_out=held_out,
     )
+    if target is not None:
+        known = {} if earlier is None or renew else earlier.manifest.limits
+        limits = baseline_limits(target.plan, how, target.work, known)
+        manifest = found.manifest.model_copy(update={"limits": limits})
+        found = replace(found, manifest=manifest)
     ran = Path(run) if run is not None else target.work if target is not None else None
     return replace(
         _written(file, earlier, found, renew=renew),
@@ -215,7 +224,8 @@ def _written(
     change = baseline_change(earlier, found)
     known = earlier.panel_of(found.panels[0].machine)
     if not change.fields and known == found.panels[0]:
-        return SavedBaseline(file=file, action="unchanged", baseline=earlier)
+        limits = {**earlier.manifest.limits, **found.manifest.limits}
+        return _with_limits(file, earlier, limits)
     if not renew and not change.fields and known is None:
         whole = with_panel(earlier, found)
         write_baseline(followed(file), whole)
@@ -224,6 +234,21 @@ def _written(
         return SavedBaseline(file=file, action="kept", baseline=found, change=change)
     write_baseline(followed(file), found)
     return SavedBaseline(file=file, action="renewed", baseline=found, change=change)
+
+
+def _with_limits(
+    file: Path, earlier: BaselineResults, limits: dict[str, SavedLimit]
+) -> SavedBaseline:
+    """Write the limits of a baseline that has all the results of its scenes."""
+    from nw_base.files.cache import followed
+    from nw_gate.results.baseline_file import write_baseline
+
+    if limits == earlier.manifest.limits:
+        return SavedBaseline(file=file, action="unchanged", baseline=earlier)
+    manifest = earlier.manifest.model_copy(update={"limits": limits})
+    found = replace(earlier, manifest=manifest)
+    write_baseline(followed(file), found)
+    return SavedBaseline(file=file, action="limits", baseline=found)
 
 
 def _new_results(target: BaselineTarget, how: How) -> tuple[RunInfo, tuple[Row, ...]]:

@@ -8,42 +8,29 @@ order that results alone decide, so that a limit is the same for one worker and 
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nw_base.errors import UsageError
 from nw_base.files.cache import atomic_path
-from nw_base.plural import plural
+from nw_eval.api.ladder_runs import climb, folder_names, ladder_plan, rungs_ladder, title_of
 from nw_eval.api.paths import as_path
-from nw_eval.api.plans import plan
 from nw_eval.api.sweeping import result_folder
 from nw_eval.engine.how import How
-from nw_eval.engine.rounds import RunStanding
 from nw_eval.reporting.html.limits import LadderLimit, write_limits
 from nw_gate.limits.find import LimitSearch
-from nw_gate.limits.ladder import Ladder, LimitTrial
 from nw_gate.results.request import Request
 
 if TYPE_CHECKING:
     from os import PathLike
-    from typing import Self
 
-    from nw_eval.engine.machine import Interrupts
     from nw_eval.engine.plan import Plan
-    from nw_eval.engine.session import Session
-    from nw_gate.results.provenance import RunInfo
-    from nw_gate.results.row import Row
     from nw_sim.ladders import Ladder as SceneLadder
 
 MOST = 120
 """Trials of a ladder, at most: three measured ladders took 20 to 45."""
-_LONGEST_NAME = 60
-"""Characters of a suite's name."""
-_DURATION = 12.0
-"""Seconds of a trial, as in the shipped suites."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,10 +110,12 @@ def limits(
     rivals = [request]
     if baseline is not None:
         rivals.append(replace(request, policy=baseline, checkpoint=None))
-    plans = [(family, [_planned(family, each, trials) for each in rivals]) for family in families]
+    plans = [
+        (family, [ladder_plan(family, each, trials) for each in rivals]) for family in families
+    ]
     labels = _labels(plans[0][1])
     folder = result_folder(as_path(out), "limits")
-    names = _folder_names([family.name for family in families])
+    names = folder_names([family.name for family in families])
     found: list[LadderLimit] = []
     interrupted = False
     climbs = [
@@ -136,12 +125,12 @@ def limits(
     ]
     for family, label, planned, run in climbs:
         search = _search(family, share, confidence, width, trials)
-        interrupted, errors = _climb(planned, family, search, means, run)
+        interrupted, errors = climb(planned, family, search, means, run)
         found.append(
             LadderLimit(
                 policy=label,
                 ladder=family.name,
-                title=_title(family),
+                title=title_of(family),
                 limit=search.limit,
                 run=run,
                 errors=errors,
@@ -176,18 +165,6 @@ def _labels(plans: Sequence[Plan]) -> list[str]:
     return [f"{info.folder_name} ({info.short_digest})" for info in infos]
 
 
-def _folder_names(ladders: Sequence[str]) -> list[str]:
-    """Return a folder's name for each ladder, which no other one has."""
-    found: list[str] = []
-    for name in ladders:
-        plain = _plain(name) or "ladder"
-        number = 1
-        while (own := plain if number == 1 else f"{plain}-{number}") in found:
-            number += 1
-        found.append(own)
-    return found
-
-
 def _families(names: Sequence[str]) -> list[SceneLadder]:
     """Return the ladders that are meant; the built-in ones where none is named.
 
@@ -220,143 +197,9 @@ def _families(names: Sequence[str]) -> list[SceneLadder]:
 def _search(
     family: SceneLadder, share: float, confidence: float, width: int, most: int
 ) -> LimitSearch:
-    values = tuple(rung.value for rung in family.rungs)
-    ladder = Ladder(name=family.parameter, rungs=values, unit=family.unit)
-    return LimitSearch(ladder, share=share, confidence=confidence, width=width, most=most)
-
-
-def _planned(family: SceneLadder, request: Request, most: int) -> Plan:
-    """Return the plan of all trials that a search may ask for, each with its place."""
-    from nw_base.trials import MAX_TRIALS
-    from nw_eval.engine.identity import policy_info
-    from nw_eval.engine.plan import DrawnOrder
-    from nw_eval.suite import expand, new_suite
-    from nw_gate.baseline.match import draw_trials
-    from nw_policies import load_bundle
-
-    robot = request.robot
-    if robot is None:
-        assert request.policy is not None, "a policy is always named"
-        robot = load_bundle(request.policy, checkpoint=request.checkpoint).card.robot
-    # A search may ask for all of its trials at one rung.
-    each = min(most, MAX_TRIALS // len(family.rungs))
-    settings: dict[str, Any] = {
-        "nw-eval": 1,
-        "name": f"limits-{_plain(family.name)}"[:_LONGEST_NAME].rstrip("-."),
-        "robot": robot,
-        "policy": request.policy,
-        "trials": each,
-        "seed": request.seed,
-        "episode": {"duration": _DURATION},
-        "scenes": tuple(dict.fromkeys(rung.scene for rung in family.rungs)),
-    }
-    if family.rungs[0].perturbation:
-        ((axis, _),) = family.rungs[0].perturbation
-        settings["perturb"] = {axis: [rung.value for rung in family.rungs]}
-    suite = new_suite(settings)
-    changes = {field.name: getattr(request, field.name) for field in fields(request)}
-    found = plan(suite, **{**changes, "suite": None})
-    key = policy_info(found.bundle).key
-    strata = [(scene.name, cell) for scene in found.scenes for cell in found.suite.perturb.cells]
-    order = draw_trials(strata, each, each, candidate=key, suite_digest=found.suite.digest)
-    return replace(
-        found,
-        trials=expand(found.suite, found.scenes, order),
-        drawn=DrawnOrder(starts=each, candidate=key),
+    return LimitSearch(
+        rungs_ladder(family), share=share, confidence=confidence, width=width, most=most
     )
-
-
-def _climb(
-    plan: Plan, family: SceneLadder, search: LimitSearch, how: How, out: Path
-) -> tuple[bool, int]:
-    """Run what a search asks for; return whether a signal came first, and how many errors."""
-    from nw_eval.engine import session
-    from nw_gate.results.provenance import read_run_info
-
-    climb = _Climb(plan, family, search, how)
-    folder = session.carry_out(plan, how, out=out, comparison=climb)
-    return read_run_info(folder.run_json).interrupted, climb.errors
-
-
-class _Climb:
-    """A search, as `engine.session` asks it what comes next."""
-
-    def __init__(self, plan: Plan, family: SceneLadder, search: LimitSearch, how: How) -> None:
-        from nw_eval.engine.machine import worker_count
-
-        self._search = search
-        self._workers = worker_count(how.workers, len(plan.trials))
-        names = {found.reference: found.scene.name for found in plan.found}
-        rungs = {
-            (names.get(rung.scene, rung.scene), rung.perturbation): number
-            for number, rung in enumerate(family.rungs)
-        }
-        self._places = {
-            LimitTrial(rungs[trial.scene, trial.perturbation], trial.index): trial.place
-            for trial in plan.trials
-            if trial.place is not None
-        }
-        self._known = {place: trial for trial, place in self._places.items()}
-        self._told: set[int] = set()
-        self.errors = 0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        return None
-
-    def begin(self, own: Session, interrupts: Interrupts) -> RunInfo:
-        """Return run.json as it is: nothing runs ahead of the search."""
-        del interrupts
-        return own.info
-
-    def next(self, ended: Mapping[int, Row]) -> RunStanding:
-        """Return which trials count so far, and which are needed next."""
-        for place in sorted(ended.keys() - self._told):
-            self._told.add(place)
-            row = ended[place]
-            if row.status == "ok":
-                self._search.tell(self._known[place], row.completed)
-            else:
-                self.errors += 1
-        counted, needed = self._counted(), self._search.next
-        word = "decided" if self._search.limit.decided else "undecided"
-        done = RunStanding(
-            first=0, followed=counted, says=f"{word} after {plural(len(counted), 'trial')}"
-        )
-        # Without the trial that is needed no other one counts.
-        if needed is None or self._places.get(needed, -1) in {-1, *ended}:
-            return done
-        ahead = [self._places[trial] for trial in self._search.ahead(self._workers)]
-        return replace(done, pending=tuple(place for place in ahead if place not in ended))
-
-    def run_control(self, indexes: Sequence[int]) -> None:
-        """Run nothing: a search has no control."""
-        raise AssertionError(f"a search asks for no control: {indexes}")
-
-    def end(self, run: RunInfo) -> None:
-        """Do nothing: the search knows its limit."""
-
-    def _counted(self) -> tuple[int, ...]:
-        """Return where the trials stand on the search's path: others ran ahead for nothing."""
-        counts: dict[int, int] = {}
-        found: list[int] = []
-        for rung, _ in self._search.trials:
-            number = counts.get(rung, 0)
-            counts[rung] = number + 1
-            found.append(self._places[LimitTrial(rung, number)])
-        return tuple(sorted(found))
-
-
-def _title(family: SceneLadder) -> str:
-    """Return what the rungs of a ladder are; the title of an axis says its parameter already."""
-    return family.title if "+" in family.name else f"{family.title}: {family.parameter}"
-
-
-def _plain(name: str) -> str:
-    """Return a ladder's name as a suite or a folder may be called."""
-    return re.sub(r"[^A-Za-z0-9_.-]+", "-", name).strip("-.")
 
 
 def limits_dict(found: FoundLimits) -> dict[str, Any]:

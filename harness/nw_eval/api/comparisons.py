@@ -6,7 +6,7 @@ come out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from nw_base.errors import UsageError
 
 if TYPE_CHECKING:
+    from nw_gate.limits.limit import Limit
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
     from nw_gate.side_by_side import Entrant, PolicyComparison
@@ -87,8 +88,9 @@ def entrants(sources: Sequence[str | Path]) -> list[Entrant]:
     ]
 
 
-def _run(path: Path) -> tuple[RunInfo, Sequence[Row]] | None:
-    """Return a run's provenance and rows; None for what is not a run folder."""
+def _run(path: Path) -> tuple[RunInfo, Sequence[Row], Mapping[str, Limit]] | None:
+    """Return a run's provenance, rows and limits; None for what is not a run folder."""
+    from nw_eval.api.limit_gates import run_limits
     from nw_eval.api.saved_run import saved_rows
     from nw_gate.results.provenance import read_run_info
     from nw_gate.results.run_folder import open_run_folder
@@ -100,7 +102,7 @@ def _run(path: Path) -> tuple[RunInfo, Sequence[Row]] | None:
             raise
         return None
     info = read_run_info(folder.run_json)
-    return info, saved_rows(folder, info)
+    return info, saved_rows(folder, info), run_limits(folder, info)
 
 
 def _baseline(source: str, runs: Sequence[RunInfo]) -> Entrant:

@@ -105,6 +105,7 @@ def plan_of(
     if suite is not None:
         faults.extend(plugin_faults(suite))
         _vet_scores(suite, faults, allow_code=request.allow_code)
+        _vet_ladders(suite, faults)
         if robot is not None:
             suite = with_robot(suite, robot.reference)
     if own_policy is None:
@@ -219,6 +220,15 @@ def _vet_scores(suite: Suite, faults: Faults, *, allow_code: bool) -> None:
                 fix="add --allow-code if you trust it",
             )
         )
+
+
+def _vet_ladders(suite: Suite, faults: Faults) -> None:
+    """Tell which ladders of a suite's gate cannot be climbed."""
+    if suite.gate.limits:
+        from nw_eval.suite.ladders import ladder_faults
+
+        for location, error in ladder_faults(suite):
+            faults.at(location, error)
 
 
 def _try_axes(trials: Sequence[Trial], suite: Suite, bundle: Bundle) -> None:

@@ -204,7 +204,16 @@ def as_published(run: Path) -> RunReport:
     suite = saved_suite(info)
     files, rows = check_files(folder, info, {trial.id for trial in saved_trials(info, suite)})
     logs = (f"{folder.logs.name}/", f"{folder.cached.name}/")
-    for each in files.findings:
+    findings = list(files.findings)
+    for nested in folder.limit_runs:
+        own = read_run_info(nested.run_json)
+        ids = {trial.id for trial in saved_trials(own, saved_suite(own))}
+        at = folder.relative(nested.path)
+        findings += [
+            replace(each, file=f"{at}/{each.file}")
+            for each in check_files(nested, own, ids)[0].findings
+        ]
+    for each in findings:
         if each.what != "missing" or not each.file.startswith(logs):
             where = f"{each.file} ({each.trial})" if each.trial else each.file
             about = f": {each.about}" if each.about else ""
@@ -283,21 +292,32 @@ def _judged(
         opened = beside.submit(baseline)
         trials, spare = saved_trials(info, suite), spare_trials(info, suite)
         found = read_trials(folder, info, trials, spare=spare, mend=mend)
-    return judged_rows(folder, info, suite, opened.result(), found)
+    return judged_rows(folder, info, suite, opened.result(), found, mend=mend)
 
 
 def judged_rows(
-    folder: RunFolder, info: RunInfo, suite: Suite, against: LoadedBaseline | None, found: RunRows
+    folder: RunFolder,
+    info: RunInfo,
+    suite: Suite,
+    against: LoadedBaseline | None,
+    found: RunRows,
+    *,
+    mend: bool = True,
 ) -> RunReport:
     """Return the verdict on rows that are read already, with what there is to remark on them.
 
     Raises:
         IncomparableError, StoreError: as `judge`.
     """
-    from nw_gate.baseline.combine import judge_run
+    from nw_gate.baseline.combine import judge_run, with_limits
     from nw_gate.results.evidence_check import lost_logs
 
     verdict = judge_run(found.rows, info, suite.gate, against)
+    if suite.gate.limits:
+        from nw_eval.api.limit_gates import limit_findings
+
+        shown = limit_findings(folder, info, suite, against, verdict, mend=mend)
+        verdict = with_limits(verdict, shown)
     remarks = (*found.remarks, *lost_logs(found.rows))
     is_fresh = verdict.against is None or verdict.against.basis == "fresh"
     verdict = replace(verdict, reasons=(*verdict.reasons, *remarks))

@@ -117,9 +117,14 @@ def roll_out(
         policy = plan.bundle.name if plan.request.policy is None else plan.request.policy
         if why := unjudged(plan.suite.gate, name, policy):
             how.told.message(why)
-    return session.carry_out(
+    folder = session.carry_out(
         plan, how, out=out, resume=resume, comparison=comparison, meanwhile=prepare_pages
     )
+    if plan.suite.gate.limits:
+        from nw_eval.api.limit_climbs import climb_limits
+
+        climb_limits(plan, folder, how)
+    return folder
 
 
 def _preflight_messages(plan: Plan) -> Iterator[str]:

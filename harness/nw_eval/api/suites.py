@@ -48,6 +48,8 @@ class ShownSuite:
     """As it was asked for."""
     scenes: Mapping[str, int]
     """The line that names a scene, by the scene's name; in the order in which they are run."""
+    ladders: Mapping[str, int]
+    """The line that names a ladder of the gate, by the ladder's name."""
     gate: int
     """The line of the gate; of the first setting where there is none."""
     baseline: str | None
@@ -81,6 +83,7 @@ def show_suite(suite: str | Path) -> ShownSuite:
     return ShownSuite(
         name=draft.suite.name,
         file=draft.source.file,
+        ladders={name: places["gate", "limits", name][0] for name in draft.suite.gate.limits},
         scenes=scenes,
         gate=places.get(("gate",), (1, 1))[0],
         baseline=draft.suite.gate.baseline,

@@ -34,17 +34,21 @@ class VerifiedRun:
     """Whether its files are as they were."""
     repeats: Repeats | None
     """Trials that were run again; None where none was asked for."""
+    ladders: tuple[VerifiedRun, ...] = ()
+    """The same of its runs on ladders."""
 
     @property
     def is_as_it_was(self) -> bool:
         """Whether nothing speaks against rows and logs."""
         again = () if self.repeats is None else self.repeats.trials
-        return not self.files.findings and all(each.is_identical for each in again)
+        own = not self.files.findings and all(each.is_identical for each in again)
+        return own and all(each.is_as_it_was for each in self.ladders)
 
     @property
     def interrupted(self) -> bool:
         """Whether a signal ended it before its last trial."""
-        return self.repeats is not None and self.repeats.interrupted
+        own = self.repeats is not None and self.repeats.interrupted
+        return own or any(each.interrupted for each in self.ladders)
 
     @property
     def exit_code(self) -> int:
@@ -53,7 +57,7 @@ class VerifiedRun:
             return StoreError.exit_code
         if self.repeats is not None and self.repeats.unable is not None:
             return self.repeats.unable.exit_code
-        return 0
+        return max([each.exit_code for each in self.ladders], default=0)
 
 
 _ROOT = re.compile(r"[0-9a-f]{64}")
@@ -125,7 +129,24 @@ def verify(
             seed=unforeseen_seed() if seed is None else seed,
             how=means,
         )
-    return VerifiedRun(folder=folder.path, files=files, repeats=repeats)
+    verified = VerifiedRun(folder=folder.path, files=files, repeats=repeats)
+    if verified.interrupted:
+        return verified
+    ladders = tuple(
+        verify(
+            nested.path,
+            offline=offline,
+            trials=trials,
+            seed=seed,
+            # Beside the candidate's run may be one of the baseline's policy, which lies elsewhere.
+            policy=policy if nested.path.name == "candidate" else None,
+            checkpoint=checkpoint if nested.path.name == "candidate" else None,
+            allow_code=allow_code,
+            **how,
+        )
+        for nested in folder.limit_runs
+    )
+    return replace(verified, ladders=ladders)
 
 
 def _of_another_root(files: CheckedFiles, root: str) -> CheckedFiles:

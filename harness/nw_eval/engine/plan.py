@@ -274,7 +274,11 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
         obstacles=obstacles_of(plan),
         warnings=_warnings(plan),
         power=_power(plan),
-        minutes=minutes_of(trials.total(), plan, workers=workers),
+        minutes=minutes_of(
+            trials.total() + sum(ladder.trials for ladder in plan.suite.gate.limits.values()),
+            plan,
+            workers=workers,
+        ),
     )
 
 

@@ -1,4 +1,4 @@
-"""A suite as a test file: a test for each scene, and one for the verdict on all of them."""
+"""A suite as a test file: a test for each scene and ladder, and one for the verdict on all."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from nw_eval.api import RunReport, ShownSuite
     from nw_eval.reporting.scene_states import SceneState
+    from nw_gate.verdict import LimitFinding
 
 
 VERDICT = "verdict"
@@ -28,12 +29,12 @@ VERDICT = "verdict"
 
 
 class SuiteFile(pytest.File):
-    """A suite's file. Its tests are named by the scenes, and the last one `VERDICT`."""
+    """A suite's file. Its tests are named by scenes and ladders, and the last one `VERDICT`."""
 
     shown: ShownSuite
 
-    def collect(self) -> Iterator[SceneItem | VerdictItem]:
-        """Yield a test for each scene, in the order in which they run, and then the verdict's.
+    def collect(self) -> Iterator[SuiteItem]:
+        """Yield a test for each scene and ladder, in the order in which they run; the verdict's.
 
         Raises:
             CollectError: the file is not a suite, with all that is wrong with it.
@@ -42,7 +43,7 @@ class SuiteFile(pytest.File):
 
         with chdir(self.project):
             try:
-                self.shown = api.show_suite(self.typed)
+                self.shown = shown = api.show_suite(self.typed)
             except NwEvalError as error:
                 raise self.CollectError(str(error)) from None
         if VERDICT in self.shown.scenes:
@@ -50,8 +51,11 @@ class SuiteFile(pytest.File):
                 f"{self.typed}: a scene is called {VERDICT!r}, as the suite's own test is; "
                 "give it another name"
             )
-        for scene, line in self.shown.scenes.items():
-            item = SceneItem.from_parent(self, name=scene, line=line)
+        items = [
+            *(SceneItem.from_parent(self, name=name, line=n) for name, n in shown.scenes.items()),
+            *(LadderItem.from_parent(self, name=name, line=n) for name, n in shown.ladders.items()),
+        ]
+        for item in items:
             if self.config.stash[SETTINGS].update_baseline:
                 item.add_marker(pytest.mark.skip(reason="the baseline is being saved"))
             yield item
@@ -81,7 +85,8 @@ class SuiteFile(pytest.File):
     def wanted(self) -> tuple[str, ...] | None:
         """The scenes to run, for those tests that are to run; None for all of them."""
         names = self._names
-        if VERDICT in names or len(names) == len(self.shown.scenes):
+        # A limit is judged in a run of all scenes, which says whether the baseline holds here.
+        if VERDICT in names or names & self.shown.ladders.keys() or names >= {*self.shown.scenes}:
             return None
         return tuple(scene for scene in self.shown.scenes if scene in names)
 
@@ -178,6 +183,42 @@ class SceneItem(SuiteItem):
             and self.state.score.tier != "informational"
             and not any(each.result == "failed" for each in scene_states(judged.verdict))
         )
+
+
+class LadderItem(SuiteItem):
+    """Passes where the policy's limit on a ladder does, and fails where it does not.
+
+    A ladder that the gate does not judge is skipped.
+    """
+
+    def setup(self) -> None:
+        """Run the suite if it has not run; a ladder without its results is an error."""
+        from nw_eval.reporting.junit import limit_properties
+
+        self.user_properties += list(limit_properties(self._finding).items())
+        if self._finding.word in {"INFRASTRUCTURE", "INVALID"}:
+            pytest.fail(self._text, pytrace=False)
+        if self._finding.word is None:
+            pytest.skip(self._text)
+
+    def runtest(self) -> None:
+        """Fail unless the gate has shown that the limit is good enough."""
+        word, accepted = self._finding.word, self.config.stash[SETTINGS].inconclusive
+        if word == "INCONCLUSIVE" and accepted == "xfail":
+            pytest.xfail(self._text)
+        if word == "REGRESSED" or (word == "INCONCLUSIVE" and accepted != "pass"):
+            pytest.fail(self._text, pytrace=False)
+
+    @property
+    def _finding(self) -> LimitFinding:
+        limits = self.judged().verdict.limits
+        return next(each for each in limits if each.ladder == self.name)
+
+    @property
+    def _text(self) -> str:
+        from nw_base.clean import clean
+
+        return clean(self._finding.sentence)
 
 
 class VerdictItem(SuiteItem):

@@ -48,6 +48,7 @@ def headline_parts(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
     if verdict.success is not None:
         parts.append(_success(verdict))
     parts += _scores(verdict)
+    parts += _limits(verdict)
     if verdict.left:
         parts.append(f"{len(verdict.left)} left the captured volume")
     if verdict.errors:
@@ -118,6 +119,16 @@ def _scores(verdict: Verdict) -> list[str]:
             asked.append(f"max_drop {item.max_drop:g}")
             change = f"{item.baseline:.4g} -> {item.mean:.4g}"
             parts.append(f"{item.spec.name} {change}, {', '.join(asked)}")
+    return parts
+
+
+def _limits(verdict: Verdict) -> list[str]:
+    """Return the limits that make the verdict what it is."""
+    parts: list[str] = []
+    for item in verdict.limits:
+        if item.word == verdict.verdict and item.candidate is not None:
+            beside = "" if item.baseline is None else f", baseline {item.baseline.range_text}"
+            parts.append(f"limit of {item.ladder} {item.candidate.range_text}{beside}")
     return parts
 
 

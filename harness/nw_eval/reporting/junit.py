@@ -1,4 +1,4 @@
-"""A judged run as JUnit XML: one test case for each scene, and one for the verdict.
+"""A judged run as JUnit XML: a test case for each scene and ladder, and one for the verdict.
 
 There is no standard; what stands here is the core that the schemas of Ant and Jenkins share. Names
 of test cases are those of scenes and tasks, so that a server's history of a case goes on from push
@@ -25,7 +25,7 @@ from nw_eval.reporting.tables.table import judged
 from nw_eval.reporting.tables.trials import replay_command, worst_trials
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
-from nw_gate.verdict import Comparison, Verdict, Word
+from nw_gate.verdict import Comparison, LimitFinding, Verdict, Word
 
 _MESSAGE = 1000  # characters of a message; a body has a line for each reason
 _REPLAYED = 3  # trials of a scene whose replay a failure names
@@ -62,6 +62,7 @@ def junit_xml(
         _scene_case(state, by_scene.get(state.scene, ()), verdict, name, folder, lines)
         for state in scene_states(verdict)
     ]
+    cases += [_limit_case(item, name, lines) for item in verdict.limits]
     return _document(
         name, [*cases, _verdict_case(verdict, run, name, lines)], run_properties(run, verdict), run
     )
@@ -126,6 +127,20 @@ def _scene_case(
         case.result = _result(Skipped, kind, [state.sentence])
     else:
         case.system_out = "\n".join(clean(line) for line in body)
+    return case
+
+
+def _limit_case(item: LimitFinding, suite: str, lines: SuiteLines | None) -> _Case:
+    """Return the case of a ladder: one that is not judged is skipped."""
+    case = _Case(clean(item.ladder), f"nw.{clean(suite)}")
+    if lines is not None:
+        case.file, case.line = clean(lines.file), lines.gate
+    _add_properties(case, limit_properties(item))
+    kind = _KINDS.get(item.word) if item.word is not None else Skipped
+    if kind is None:
+        case.system_out = clean(item.sentence)
+    else:
+        case.result = _result(kind, (item.word or "unjudged").lower(), [item.sentence])
     return case
 
 
@@ -206,6 +221,19 @@ def scene_properties(
         **({"scene_digest": rows[0].scene_digest} if rows else {}),
         **log,
     }
+
+
+def limit_properties(item: LimitFinding) -> dict[str, str]:
+    """Return what is known of the policy's limit on a ladder, in the ladder's unit."""
+    values: dict[str, str] = {"state": item.word or "unjudged"}
+    for prefix, limit in (("", item.candidate), ("baseline_", item.baseline)):
+        if limit is not None:
+            low, high = limit.lower, limit.upper
+            values |= {} if low is None else {f"{prefix}cleared": f"{low.value:.6g}"}
+            values |= {} if high is None else {f"{prefix}not_cleared": f"{high.value:.6g}"}
+    if item.candidate is not None:
+        values |= {"unit": item.candidate.ladder.unit, "trials": str(len(item.candidate.trials))}
+    return values
 
 
 def _cell(perturbation: Sequence[tuple[str, float]]) -> str:

@@ -29,6 +29,8 @@ def comparison_tables(found: PolicyComparison) -> tuple[Table, ...]:
     tables.append(_scenes(found))
     if found.scores:
         tables.append(_scores(found))
+    if found.limits:
+        tables.append(_limits(found))
     return (*tables, _partings(found)) if found.partings else tuple(tables)
 
 
@@ -136,6 +138,19 @@ def _scores(found: PolicyComparison) -> Table:
         note="Means over the same initial states as success. In brackets what new initial states "
         f"in these scenes may give, {percent} each alone. A trial in which a score is undefined "
         "counts as its declaration says.",
+    )
+
+
+def _limits(found: PolicyComparison) -> Table:
+    return Table(
+        title="Limits",
+        columns=("ladder", *(each.label for each in found.policies)),
+        rows=tuple(
+            (ladder, *("" if each is None else each.range_text for each in limits))
+            for ladder, limits in found.limits.items()
+        ),
+        note="The hardest rung that is shown to be cleared, and the easiest that is shown not to "
+        "be. Bounds of a baseline's limit are surer than those of a run's.",
     )
 
 

@@ -18,12 +18,12 @@ from nw_gate.absolute import judge
 from nw_gate.baseline.finding import by_place
 from nw_gate.baseline.judge import compare, setup_of
 from nw_gate.baseline.match import known_rows
-from nw_gate.baseline.scores import with_scores
+from nw_gate.baseline.scores import reworded, with_scores, without_unjudged, worse
 from nw_gate.results.baseline import LoadedBaseline
 from nw_gate.results.provenance import RunInfo
 from nw_gate.results.row import Row
 from nw_gate.settings import Gate
-from nw_gate.verdict import Comparison, Verdict, Word
+from nw_gate.verdict import Comparison, LimitFinding, Verdict, Word
 
 
 def judge_run(
@@ -64,6 +64,29 @@ def judge_run(
         return verdict
     reasons = (*run.cache.differing, *verdict.reasons)
     return replace(verdict, verdict="INFRASTRUCTURE", reasons=reasons)
+
+
+def with_limits(verdict: Verdict, limits: Sequence[LimitFinding]) -> Verdict:
+    """Return a verdict with the limits of the ladders that its gate names.
+
+    PASS asks for every limit, and any one that is REGRESSED makes the run REGRESSED: its errors are
+    split over success, scores and limits (`Gate.shared`).
+
+    Args:
+        verdict: on the run's scenes. A run that is INFRASTRUCTURE or INVALID stays so.
+        limits: what the ladders show, in the order of the suite.
+    """
+    if not limits:
+        return verdict
+    verdict = replace(verdict, limits=tuple(limits))
+    if verdict.verdict in {"INFRASTRUCTURE", "INVALID"}:
+        return verdict
+    word, judged = verdict.verdict, [item for item in limits if item.word is not None]
+    for item in judged:
+        word = worse(word, item.word or "PASS")
+    verdict = without_unjudged(verdict) if judged else verdict
+    ordered = sorted(limits, key=lambda item: (item.word or "PASS") != word)
+    return reworded(verdict, word, [item.sentence for item in ordered])
 
 
 def _of_rows(

@@ -71,7 +71,7 @@ def with_scores(
     if missing := [name for name in gate.scores if name not in run.scores]:
         why = f"{', '.join(missing)} was not measured in this run: run again with this suite"
         reasons = (why, *verdict.reasons)
-        return replace(verdict, verdict=_worse(verdict.verdict, "INVALID"), reasons=reasons)
+        return replace(verdict, verdict=worse(verdict.verdict, "INVALID"), reasons=reasons)
     setup = None
     asked = any(one.max_drop is not None for one in gate.scores.values())
     if against is not None and verdict.against is not None and asked:
@@ -87,18 +87,27 @@ def with_scores(
     word = verdict.verdict
     for item in found:
         if item.word is not None:
-            word = _worse(word, item.word)
+            word = worse(word, item.word)
     judged = [item for item in found if item.word is not None]
-    if judged:  # That nothing was judged is true of success alone.
-        kept = tuple(
-            each
-            for each in verdict.reasons
-            if "nothing was judged" not in each and "no bar was judged" not in each
-        )
-        verdict = replace(verdict, reasons=kept)
+    verdict = without_unjudged(verdict) if judged else verdict
     judged.sort(key=lambda item: _ORDER.index(item.word or "PASS"), reverse=True)
     told = [reason for item in judged for reason in item.reasons]
     told += [reason for item in found if item.word is None for reason in item.reasons]
+    return reworded(verdict, word, told)
+
+
+def without_unjudged(verdict: Verdict) -> Verdict:
+    """Return a verdict without the reason that nothing was judged, true of success alone."""
+    kept = tuple(
+        each
+        for each in verdict.reasons
+        if "nothing was judged" not in each and "no bar was judged" not in each
+    )
+    return replace(verdict, reasons=kept)
+
+
+def reworded(verdict: Verdict, word: Word, told: Sequence[str]) -> Verdict:
+    """Return a verdict with another word and more reasons; these come first if they made it."""
     first = word not in {verdict.verdict, "PASS"}
     reasons = (*told, *verdict.reasons) if first else (*verdict.reasons, *told)
     return replace(verdict, verdict=word, reasons=reasons)
@@ -114,7 +123,8 @@ _ORDER: tuple[Word, ...] = (
 )
 
 
-def _worse(one: Word, other: Word) -> Word:
+def worse(one: Word, other: Word) -> Word:
+    """Return the word of two findings together, of which a PASS needs both."""
     return one if _ORDER.index(one) >= _ORDER.index(other) else other
 
 

@@ -276,6 +276,16 @@ class LimitGate(TrialPath):
             margins=self.margins,
         )
 
+    @property
+    def most(self) -> int:
+        """Trials, at most, before it ends undecided."""
+        return self._most
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether the verdict is PASS or REGRESSED."""
+        return self._claims.word(self._wealth) != "INCONCLUSIVE"
+
     def _stakes(self, wealth: Wealth) -> bool:  # noqa: ARG002  # Every trial is bet on.
         return True
 
@@ -345,13 +355,5 @@ def _sentence(
         joined = (" or " if word == "REGRESSED" else " and ").join(wanted)
         text = f"{name}: the limit is {joined}, shown by {trials}"
     if baseline is not None:
-        text += f" (baseline {_range(baseline)}; candidate {_range(candidate)})"
+        text += f" (baseline {baseline.range_text}; candidate {candidate.range_text})"
     return f"{text}. {candidate.dip_sentence}".rstrip()
-
-
-def _range(limit: Limit) -> str:
-    """Return the bounds of a limit, in words."""
-    says, (low, high) = limit.ladder.says, (limit.lower, limit.upper)
-    over = says(low.value) if low is not None else ""
-    under = f"not {says(high.value)}" if high is not None else ""
-    return ", ".join(part for part in (over, under) if part) or "unknown"

@@ -82,6 +82,16 @@ class LimitSearch(TrialPath):
             staked=self._staked,
         )
 
+    @property
+    def most(self) -> int:
+        """Trials, at most, before it ends undecided."""
+        return self._most
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether the bounds are `width` rungs apart, or less."""
+        return self.limit.decided
+
     def _stakes(self, wealth: Wealth) -> bool:
         low, high = wealth.bounds(self._confidence)
         return bool(high[0] - low[0] > self._width)

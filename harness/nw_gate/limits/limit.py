@@ -139,6 +139,20 @@ class Limit:
         return find_dip(self.wealth.done[0], self.wealth.missed[0])
 
     @property
+    def bound_texts(self) -> tuple[str, str]:
+        """Both bounds with their unit; `none` for one that lies off the ladder."""
+        low, high = (None if each is None else each.value for each in (self.lower, self.upper))
+        says = self.ladder.says
+        return "none" if low is None else says(low), "none" if high is None else says(high)
+
+    @property
+    def range_text(self) -> str:
+        """Both bounds in words, such as `0.26 m, not 0.34 m`."""
+        says, (low, high) = self.ladder.says, (self.lower, self.upper)
+        cleared = [says(low.value)] if low is not None else []
+        return ", ".join([*cleared, *([f"not {says(high.value)}"] if high else [])]) or "unknown"
+
+    @property
     def sentence(self) -> str:
         """What the trials show, in words."""
         says, (low, high) = self.ladder.says, (self.lower, self.upper)

@@ -13,7 +13,7 @@ Many ladders at once need no trials ahead: each worker takes the next trial of a
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from heapq import heappop, heappush
 
@@ -62,6 +62,33 @@ class TrialPath(ABC):
     def trials(self) -> tuple[tuple[int, bool], ...]:
         """Rung and result of each trial that counts, in the order in which they count."""
         return tuple(self._path)
+
+    @property
+    @abstractmethod
+    def most(self) -> int:
+        """Trials, at most, before it ends undecided."""
+
+    @property
+    @abstractmethod
+    def is_decided(self) -> bool:
+        """Whether what is asked is shown; else the trials are spent, or one is needed."""
+
+    @property
+    def counted(self) -> tuple[LimitTrial, ...]:
+        """The trials that count, in the order in which they count."""
+        tried, counted = list(self._first), list[LimitTrial]()
+        for rung, _ in self._path:
+            counted.append(LimitTrial(rung, tried[rung]))
+            tried[rung] += 1
+        return tuple(counted)
+
+    def follow(self, results: Mapping[LimitTrial, bool]) -> bool:
+        """Take the results that are needed, in their order; return whether none is missing."""
+        while (trial := self.next) is not None:
+            if trial not in results:
+                return False
+            self.tell(trial, results[trial])
+        return True
 
     def tell(self, trial: LimitTrial, completed: bool) -> None:
         """Take the result of a trial, in any order.

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
 from statistics import fmean
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -79,6 +79,19 @@ class PanelInfo(_Part):
     """Of the rows that these results are made from."""
 
 
+class SavedLimit(_Part):
+    """The policy's limit on one ladder."""
+
+    limit: dict[str, Any]
+    """`Limit.as_dict`."""
+    suite_digest: str
+    """Of robot, protocol, seed, episode and perturbations of its trials."""
+    scenes: dict[str, str]
+    """Digests of its rungs' scenes by name."""
+    machine: dict[str, str]
+    """Class of machine that its trials ran on."""
+
+
 class Manifest(_Part):
     """All that a baseline says of itself."""
 
@@ -95,6 +108,8 @@ class Manifest(_Part):
     panels: tuple[PanelInfo, ...] = Field(min_length=1)
     scores: tuple[str, ...] = ()
     """Names of the scores that its trials were measured by."""
+    limits: dict[str, SavedLimit] = {}
+    """Of the ladders that the suite's gate names, by name."""
     held_out: bool = False
     """Whether its starts are of a seed set of its own, which took no part in choosing its policy. A
     run on the suite's seed set met other starts, and is compared as one that met fresh ones."""

@@ -26,6 +26,7 @@ from nw_base.files.inside import what_is
 from nw_base.files.shipped import shipped
 from nw_base.plural import plural
 from nw_base.words import OUTCOMES
+from nw_gate.limits.limit import Limit
 from nw_gate.results.baseline import (
     BaselinePolicy,
     BaselineResults,
@@ -73,8 +74,9 @@ def write_baseline(path: Path, baseline: BaselineResults) -> None:
     if fault := fault_of(baseline) or _misnamed(path, baseline.manifest):
         raise StoreError(f"cannot write {path}: {fault}", fix="save the baseline anew from a run")
     content = baseline.manifest.model_dump(mode="json")
-    if not baseline.manifest.scores:
-        del content["scores"]  # An older baseline stays as it is.
+    for later in ("scores", "limits"):
+        if not content[later]:
+            del content[later]  # An older baseline stays as it is.
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     write_small_table(path, baseline_table(baseline), {_MANIFEST: text})
 
@@ -410,6 +412,7 @@ def with_panel(baseline: BaselineResults, other: BaselineResults) -> BaselineRes
         manifest=baseline.manifest.model_copy(
             update={
                 "panels": infos,
+                "limits": {**other.manifest.limits, **baseline.manifest.limits},
                 "scores": tuple(x for x in baseline.manifest.scores if x in other.manifest.scores),
             }
         ),
@@ -469,6 +472,11 @@ def _fault_of_manifest(manifest: Manifest) -> str | None:
     for text in _texts(manifest.model_dump(mode="json")):
         if clean(text) != text:
             return f"its manifest has {clean(text, at_most=80)!r}, which is no plain line"
+    for ladder, saved in manifest.limits.items():
+        try:
+            Limit.from_dict(saved.limit)
+        except StoreError as error:
+            return f"its limit of ladder {ladder}: {error.message}"
     return None
 
 

@@ -389,6 +389,10 @@ def write_merged(
                 folder.baseline.path.mkdir()
                 _fill(folder.baseline, control, against)
             ended, lost = _fill(folder, arm, against)
+            for source in arm.sources:
+                # One part has climbed the ladders for all of them.
+                if source.folder.limit_runs and not folder.limits.exists():
+                    shutil.copytree(source.folder.limits, folder.limits, ignore=_links)
             folder.path.rename(out.resolve())  # A link to an empty folder stays a link.
     except OSError as error:
         raise StoreError(
@@ -397,6 +401,11 @@ def write_merged(
         ) from error
     sync_folder(out.parent)
     return ended, lost
+
+
+def _links(folder: str, names: list[str]) -> list[str]:
+    """Return the names in a folder that are links: what they lead to is not the part's own."""
+    return [name for name in names if Path(folder, name).is_symlink()]
 
 
 def _fill(

@@ -68,6 +68,17 @@ class RunFolder:
         return RunFolder(path=self.path / "baseline")
 
     @property
+    def limits(self) -> Path:
+        """The runs on ladders: `<ladder>/candidate`, and `<ladder>/baseline` if that ran, too."""
+        return self.path / "limits"
+
+    @property
+    def limit_runs(self) -> tuple[RunFolder, ...]:
+        """The folders of its runs on ladders."""
+        found = sorted(self.limits.glob("*/*/run.json"))
+        return tuple(RunFolder(path=path.parent) for path in found)
+
+    @property
     def workers_log(self) -> Path:
         """What worker processes printed, if they did."""
         return self.path / "workers.log"
@@ -223,7 +234,7 @@ def check_folders(run: Path) -> None:
     def unreadable(error: OSError) -> NoReturn:
         raise UsageError(f"cannot read {error.filename}: {error.strerror}", fix="check its rights")
 
-    for top in ("mcap", "cached", "bank", "baseline"):
+    for top in ("mcap", "cached", "bank", "baseline", "limits"):
         if not os.path.lexists(run / top):
             continue
         if (run / top).is_symlink():
@@ -284,7 +295,7 @@ def check_plain(folder: RunFolder) -> None:
 def _read_files(folder: RunFolder) -> Iterator[tuple[Path, os.stat_result]]:
     """Yield the files of a run that are read, and all that is no folder among them."""
     single = (folder.run_json, folder.journal, folder.trials, folder.digests, folder.cause)
-    waiting = [*single, folder.logs, folder.cached, folder.path / "bank"]
+    waiting = [*single, folder.logs, folder.cached, folder.path / "bank", folder.limits]
     while waiting:
         path = waiting.pop()
         try:

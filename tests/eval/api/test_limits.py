@@ -7,7 +7,7 @@ import pytest
 
 from nw_base.errors import SceneError, UsageError
 from nw_eval import api
-from nw_eval.api.climbing import _folder_names
+from nw_eval.api.ladder_runs import folder_names
 from nw_eval.cli import main
 from nw_eval.engine.listener import NullListener
 from nw_gate.limits.limit import Limit
@@ -107,7 +107,7 @@ def test_two_policies_of_one_name_are_told_apart_and_one_is_not_compared_with_it
 
 def test_ladders_whose_names_are_alike_have_folders_of_their_own():
     names = ["a/b", "a-b", "./a-b", "\u043b\u0430\u0434"]
-    assert _folder_names(names) == ["a-b", "a-b-2", "a-b-3", "ladder"]
+    assert folder_names(names) == ["a-b", "a-b-2", "a-b-3", "ladder"]
 
 
 def test_a_seed_below_zero_is_refused(tmp_path):

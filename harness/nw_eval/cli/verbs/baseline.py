@@ -338,6 +338,7 @@ def _flipped(change: SceneChange) -> str:
 
 
 def _saved(saved: SavedBaseline) -> Iterator[str]:
+    from nw_gate.limits.limit import Limit
     from nw_gate.results.baseline import baseline_mean
 
     manifest = saved.baseline.manifest
@@ -354,10 +355,14 @@ def _saved(saved: SavedBaseline) -> Iterator[str]:
         machine = machine_words(manifest.panels[-1].machine)
         classes = plural(len(manifest.panels), "type")
         yield f"saved {saved.file}, which has this machine type now, too ({classes}): {machine}"
+    elif saved.action == "limits":
+        yield f"saved {saved.file}, which has limits on ladders now, too"
     elif saved.action == "renewed":
         yield f"renewed {saved.file}: {whole}"
     else:
         yield f"{saved.file} did not change; --renew replaces it"
+    for ladder, saved_limit in manifest.limits.items():
+        yield f"limit of {clean(ladder)}: {clean(Limit.from_dict(saved_limit.limit).range_text)}"
     if saved.run is not None:
         run = str(saved.run)
         yield f"results and logs: {clean(run)}; report: nw-eval report {clean(quote(run))}"

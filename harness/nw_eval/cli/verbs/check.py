@@ -60,6 +60,7 @@ def forecast_json(forecast: Forecast) -> str:
         "trials": forecast.trials,
         "scenes": forecast.scenes,
         "left_out": forecast.left_out,
+        "limits": forecast.suite.gate.limits,
         "shard": None if forecast.shard is None else str(forecast.shard),
         "power": forecast.power,
         "obstacles": forecast.obstacles,
@@ -101,12 +102,26 @@ def forecast_page(forecast: Forecast) -> str:
         ),
         f"trials    {forecast.trials} of {duration:g} s: {count}",
         *(f"          {scene.name:<{width}}  {scene.digest[:16]}" for scene in scenes),
+        *_ladders(suite.gate),
         *_power(forecast.power),
         *(f"no PASS   {reason}" for reason in forecast.obstacles),
         *(f"warning   {sentence}" for sentence in forecast.warnings),
         f"expect    about {forecast.minutes:.1f} minutes with --workers {forecast.workers}",
     ]
     return "\n".join(lines)
+
+
+def _ladders(gate: Gate) -> list[str]:
+    """Return what the limits of the policy must be, a line for each ladder."""
+    lines: list[str] = []
+    for name, asked in gate.limits.items():
+        least = [] if asked.at_least is None else [f"at_least {asked.at_least:g}"]
+        most = [] if asked.max_drop is None else [f"max_drop {asked.max_drop:g}"]
+        wanted = ", ".join([*least, *most])
+        lines.append(
+            f"{'' if lines else 'limits':<9} {name}: {wanted}; at most {asked.trials} trials"
+        )
+    return lines
 
 
 def _power(sentence: str | None) -> list[str]:
@@ -122,7 +137,7 @@ def _bar(gate: Gate) -> str:
     sure = f"({100 * gate.confidence:.4g} % confidence)"
     if gate.success_rate is not None:
         bar = f"success at least {gate.success_rate:g} {sure}"
-    elif not gate.scores:
+    elif not gate.scores and not gate.limits:
         bar = "none (gate.success_rate): the verdict will be RAN"
     else:
         bar = "no bar for success (gate.success_rate)"

@@ -6,12 +6,13 @@ import json as jsons
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from nw_gate.results.baseline import BaselineResults
 
 if TYPE_CHECKING:
     from nw_eval.api import RunReport
+    from nw_gate.limits.limit import Limit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,11 +60,28 @@ def judged_json(judged: RunReport, code: int) -> str:
             scene.scene: {"success": scene.mean, "trials": scene.n, "completed": scene.completed}
             for scene in verdict.per_scene
         },
+        "limits": {
+            item.ladder: {
+                "verdict": item.word,
+                "cleared": _bound(item.candidate, "lower"),
+                "not_cleared": _bound(item.candidate, "upper"),
+                "baseline_cleared": _bound(item.baseline, "lower"),
+                "baseline_not_cleared": _bound(item.baseline, "upper"),
+                "unit": None if item.candidate is None else item.candidate.ladder.unit,
+                "trials": 0 if item.candidate is None else len(item.candidate.trials),
+            }
+            for item in verdict.limits
+        },
         "run": judged.typed_folder,
         "report": judged.typed_page,
         "html": judged.typed_html,
     }
     return json_text(found)
+
+
+def _bound(limit: Limit | None, which: Literal["lower", "upper"]) -> float | None:
+    bound = None if limit is None else getattr(limit, which)
+    return None if bound is None else bound.value
 
 
 def _plain(value: Any) -> Any:

@@ -64,6 +64,9 @@ def verification_lines(verified: VerifiedRun) -> str:
     lines = [*_files(verified.files)]
     if verified.repeats is not None:
         lines += _repeats(verified.repeats)
+    for ladder in verified.ladders:
+        name = ladder.folder.relative_to(verified.folder).as_posix()
+        lines += [f"{name}: {line}" for line in verification_lines(ladder).splitlines()]
     return "\n".join(clean(line, at_most=2000) for line in lines)
 
 

@@ -75,8 +75,7 @@ def limits_table(limits: Sequence[LadderLimit]) -> Table:
             (
                 each.ladder,
                 each.policy,
-                _value(each.limit, each.limit.ends[0]),
-                _value(each.limit, each.limit.ends[1]),
+                *each.limit.bound_texts,
                 str(len(each.limit.trials)),
                 "yes" if each.limit.decided else "no",
             )
@@ -93,13 +92,6 @@ def limits_words(limits: Sequence[LadderLimit]) -> list[str]:
         f"{each.policy}, {each.limit.sentence}" if several else each.limit.sentence
         for each in limits
     ]
-
-
-def _value(limit: Limit, rung: int) -> str:
-    """Return a rung's value; "none" for what lies off the ladder."""
-    if not 0 <= rung < len(limit.ladder.rungs):
-        return "none"
-    return limit.ladder.says(limit.ladder.rungs[rung])
 
 
 def _note(limits: Sequence[LadderLimit]) -> str:
@@ -183,7 +175,7 @@ def _limit(each: LadderLimit, style: int) -> DrawnLimit:
         style=style,
         cleared=x(low),
         failed=x(high),
-        bounds=(_value(limit, low), _value(limit, high)),
+        bounds=limit.bound_texts,
         says=limit.sentence,
         dots=tuple(
             (x(rung), f"{done} of {tried} at {limit.ladder.says(limit.ladder.rungs[rung])}")

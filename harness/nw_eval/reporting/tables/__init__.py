@@ -41,7 +41,7 @@ from nw_gate.results.row import Row, task_shown
 from nw_gate.scores.own import EXPECT
 from nw_gate.stats.betting import lower_bound, upper_bound
 from nw_gate.stats.interval import Interval
-from nw_gate.verdict import ScoreFinding, Verdict
+from nw_gate.verdict import LimitFinding, ScoreFinding, Verdict
 
 __all__ = ["NO_RIVALS", "Rivals", "Table", "all_tables", "named_tables"]
 
@@ -74,6 +74,7 @@ def all_tables(
         scenes_table(verdict, ordered, brief=brief),
         scores_table(verdict),
         expectations_table(verdict),
+        gated_limits_table(verdict),
         cause_table(cause),
         *(() if brief else (scores_by_scene_table(verdict),)),
         *(() if brief else (perturbations_table(ordered, verdict),)),
@@ -108,6 +109,7 @@ def named_tables(
         "scores": scores_table(verdict),
         "expectations": expectations_table(verdict),
         "scores_by_scene": scores_by_scene_table(verdict),
+        "limits": gated_limits_table(verdict),
         "perturbations": perturbations_table(rows, verdict),
         "outcomes": outcomes_table(rows, verdict),
         "contacts": contacts_table(rows, run),
@@ -203,6 +205,49 @@ def scores_table(verdict: Verdict) -> Table:
         note=f"Means weigh scenes equally. A trial in which a score is undefined counts as its "
         f"declaration says. {meanings}.",
     )
+
+
+def gated_limits_table(verdict: Verdict) -> Table:
+    """Return what the gate's ladders show: up to which rung the policy gets, in their units."""
+    found = verdict.limits
+    compared = any(item.baseline is not None for item in found)
+    return Table(
+        title="Limits",
+        columns=(
+            *("ladder", "cleared up to", "not cleared at"),
+            *(("baseline",) if compared else ()),
+            *("asked", "trials", "verdict"),
+        ),
+        rows=tuple(
+            (
+                item.ladder,
+                *(("", "") if item.candidate is None else item.candidate.bound_texts),
+                *(
+                    (("" if item.baseline is None else item.baseline.range_text),)
+                    if compared
+                    else ()
+                ),
+                _asked(item),
+                "0" if item.candidate is None else str(len(item.candidate.trials)),
+                item.word or "-",
+            )
+            for item in found
+        ),
+        numbers=frozenset({"trials"}),
+        note=f"A rung is cleared if the policy completes at least the gate's share of its trials "
+        f"there; bounds of the policy hold with {100 * verdict.confidence:.4g} % confidence, each "
+        "alone.",
+    )
+
+
+def _asked(item: LimitFinding) -> str:
+    """Return what the gate asks of a limit, in the unit of its ladder."""
+    says = str if item.candidate is None else item.candidate.ladder.says
+    least = [] if item.at_least is None else [f"at least {says(item.at_least)}"]
+    if item.at_least is not None and item.candidate and not item.candidate.ladder.rises:
+        least = [f"at most {says(item.at_least)}"]
+    most = [] if item.max_drop is None else [f"max_drop {says(item.max_drop)}"]
+    return ", ".join([*least, *most])
 
 
 def _number(value: float | None) -> str:

@@ -186,6 +186,7 @@ def _of_all(verdict: Verdict) -> dict[str, float | None]:
         **({"all/left_capture": len(verdict.left)} if verdict.left else {}),
         "all/exit_code": verdict.exit_code,
         **_of_scores(verdict),
+        **_of_limits(verdict),
     }
 
 
@@ -201,6 +202,22 @@ def _of_scores(verdict: Verdict) -> dict[str, float | None]:
         for scene, mean in item.per_scene.items():
             numbers[f"scores/{name}/scenes/{scenes[scene]}"] = mean
     return numbers
+
+
+def _of_limits(verdict: Verdict) -> dict[str, float | None]:
+    """Return both bounds of the policy's limit on each ladder, in the ladder's unit."""
+    keys = keys_of(item.ladder for item in verdict.limits)
+    bounds = {
+        keys[item.ladder]: (item.candidate.lower, item.candidate.upper)
+        for item in verdict.limits
+        if item.candidate is not None
+    }
+    return {
+        f"limits/{key}/{name}": bound.value
+        for key, both in bounds.items()
+        for name, bound in zip(("cleared", "not_cleared"), both, strict=True)
+        if bound is not None
+    }
 
 
 def _by_scene(verdict: Verdict) -> dict[str, float | None]:

@@ -1,0 +1,205 @@
+"""Climbing the ladders that a suite's gate names: for a run, and for a baseline.
+
+They run once the trials of the scenes have ended, unless these say nothing about the policy.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+from nw_base.errors import TrialError
+from nw_base.files.cache import atomic_path
+from nw_eval.api.ladder_runs import climb, ladder_plan_of_run, rung_cells, title_of
+from nw_eval.api.limit_gates import (
+    MOST_SAVED,
+    asked_ladders,
+    baseline_search,
+    compares,
+    holds_here,
+    ladder_folders,
+    limit_gate,
+    rules_digest,
+)
+from nw_eval.suite.ladders import gated_ladder
+from nw_gate.limits.limit import Limit
+from nw_gate.results.baseline import SavedLimit, machine_of
+from nw_gate.results.provenance import read_run_info, write_run_info
+from nw_gate.results.run_folder import RunFolder
+
+if TYPE_CHECKING:
+    from nw_eval.engine.how import How
+    from nw_eval.engine.plan import Plan
+    from nw_gate.limits.path import TrialPath
+    from nw_gate.results.baseline import LoadedBaseline
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.settings import LadderGate
+    from nw_sim.ladders import Ladder as SceneLadder
+
+
+def climb_limits(plan: Plan, folder: RunFolder, how: How) -> None:
+    """Run what the ladders of a suite's gate need, after the trials of its scenes.
+
+    Of a run in parts the first part does. Where the run is INVALID or INFRASTRUCTURE, nothing runs.
+    After a REGRESSED the ladders are climbed, too: they say by how much in metres.
+
+    Args:
+        plan: of the run.
+        folder: of the run, whose trials have ended.
+        how: how it is run.
+
+    Raises:
+        SceneError, PolicyError, IncomparableError, StoreError: as `api.run`.
+    """
+    from nw_eval.api.loaded_baselines import kept_baseline
+    from nw_eval.api.reports import as_begun
+
+    run, began = read_run_info(folder.run_json), perf_counter()
+    if run.interrupted or not plan.suite.gate.limits:
+        return
+    if run.is_part:
+        names = (
+            asked_ladders(plan.suite, run)
+            if plan.shard is not None and plan.shard.index == 1
+            else ()
+        )
+    else:
+        limits = as_begun(folder.path).verdict.limits
+        names = tuple(item.ladder for item in limits if item.word == "INFRASTRUCTURE")
+    against = kept_baseline(folder, run) if names else None
+    for name in names:
+        interrupted = _climb_gated(plan, folder, run, name, against, how)
+        wall = run.wall_s + perf_counter() - began
+        update = {"wall_s": wall, "interrupted": interrupted}
+        write_run_info(folder.run_json, run.model_copy(update=update))
+        if interrupted:
+            return
+
+
+def baseline_limits(
+    plan: Plan, how: How, work: Path, known: Mapping[str, SavedLimit]
+) -> dict[str, SavedLimit]:
+    """Return the limits of a plan's policy on the ladders of its suite's gate.
+
+    Args:
+        plan: of a baseline.
+        how: how its trials run.
+        work: the folder of its run, in which an interrupted climb goes on.
+        known: limits that were saved earlier, which are kept if they hold.
+
+    Raises:
+        KeyboardInterrupt: it was interrupted; the trials that have ended are kept.
+        TrialError: a trial produced no result.
+        StoreError: results cannot be written.
+    """
+    from nw_eval.engine.provenance import run_info
+    from nw_sim.ladders import ladder_named
+
+    limits: dict[str, SavedLimit] = {}
+    for name, at in ladder_folders(RunFolder(path=work), plan.suite.gate).items():
+        family, asked = ladder_named(name, plan.suite.base), plan.suite.gate.limits[name]
+        own = ladder_plan_of_run(family, plan, MOST_SAVED)
+        machine = machine_of(run_info(own, RunFolder(path=at), how))
+        saved = known.get(name)
+        if saved is not None and _is_of(saved, own, asked.share) and saved.machine == machine:
+            limits[name] = saved
+            continue
+        search = baseline_search(gated_ladder(family), asked.share)
+        how.told.message(f"ladder {name}: its limit is measured for the baseline")
+        interrupted, errors = climb(own, family, search, how, at)
+        if interrupted:
+            raise KeyboardInterrupt
+        if errors:
+            raise TrialError(
+                f"ladder {name}: a trial has no result", fix=f"see {at}, and save again"
+            )
+        limits[name] = SavedLimit(
+            limit=search.limit.as_dict(),
+            suite_digest=rules_digest(own.suite),
+            scenes={scene.name: scene.digest for scene in own.scenes},
+            machine=machine,
+        )
+    return limits
+
+
+def _is_of(saved: SavedLimit, plan: Plan, share: float) -> bool:
+    """Whether a saved limit is of the scenes, rules and share of a plan."""
+    digests = {scene.name: scene.digest for scene in plan.scenes}
+    known = (saved.suite_digest, saved.scenes, saved.limit.get("share"))
+    return known == (rules_digest(plan.suite), digests, share)
+
+
+def _climb_gated(
+    plan: Plan,
+    folder: RunFolder,
+    run: RunInfo,
+    name: str,
+    against: LoadedBaseline | None,
+    how: How,
+) -> bool:
+    """Run what one ladder needs; return whether a signal came first."""
+    from nw_sim.ladders import ladder_named
+
+    family, asked = ladder_named(name, plan.suite.base), plan.suite.gate.limits[name]
+    at, baseline = ladder_folders(folder, plan.suite.gate)[name], None
+    if compares(asked, run, against):
+        assert against is not None, "there is something to compare with"
+        saved = against.results.manifest.limits.get(name)
+        of_saved = ladder_plan_of_run(family, plan, 1)
+        if saved is not None and _is_of(saved, of_saved, asked.share) and holds_here(saved, run):
+            baseline = Limit.from_dict(saved.limit)
+        else:
+            baseline = _measured(plan, run, family, asked, against, at, how)
+    gate = limit_gate(asked, plan.suite.gate, gated_ladder(family), baseline)
+    if gate is None or (compares(asked, run, against) and baseline is None):
+        return baseline is None and gate is not None
+    first = 0 if baseline is None else max(baseline.tried)
+    own = ladder_plan_of_run(family, plan, first + asked.trials)
+    how.told.message(f"ladder {name}: at most {asked.trials} trials")
+    return _climbed(own, family, gate, how, at / "candidate")
+
+
+def _measured(
+    plan: Plan,
+    run: RunInfo,
+    family: SceneLadder,
+    asked: LadderGate,
+    against: LoadedBaseline,
+    at: Path,
+    how: How,
+) -> Limit | None:
+    """Measure the limit of the baseline's policy on this machine; None if a signal came first."""
+    from nw_eval.api.baseline_comparison import baseline_bundle
+
+    how.told.message(
+        f"ladder {family.name}: baseline {against.info.name} has no limit that holds here; its own "
+        "policy climbs it first"
+    )
+    bundle = baseline_bundle(plan, against, run)
+    own = ladder_plan_of_run(family, plan, MOST_SAVED, bundle=bundle)
+    search = baseline_search(gated_ladder(family), asked.share)
+    # A policy by its card is behind the fence, also where the candidate is not.
+    beside = replace(how, in_process=False, labels=None)
+    if _climbed(replace(own, arm="baseline"), family, search, beside, at / "baseline"):
+        return None
+    return search.limit
+
+
+def _climbed(plan: Plan, family: SceneLadder, path: TrialPath, how: How, out: Path) -> bool:
+    """Climb a ladder, and leave beside the run what its rungs are."""
+    ladder = {
+        "nw-climb": 1,
+        "ladder": family.name,
+        "title": title_of(family),
+        "unit": family.unit,
+        "rungs": [rung.value for rung in family.rungs],
+        "cells": [[scene, dict(cell)] for scene, cell in rung_cells(plan, family)],
+    }
+    interrupted, _ = climb(plan, family, path, how, out)
+    with atomic_path(out / "ladder.json") as temporary:
+        temporary.write_text(json.dumps(ladder, indent=1) + "\n", encoding="utf-8")
+    return interrupted
