@@ -132,6 +132,10 @@ class LedgerEntry(_Line):
         default_factory=dict[str, tuple[float | None, float | None, float, float]]
     )
     """Bar, max_drop and range of each score that was judged beside success."""
+    limits: dict[str, tuple[float | None, float | None]] = Field(
+        default_factory=dict[str, tuple[float | None, float | None]]
+    )
+    """`at_least` and `max_drop` of each limit that was judged, by ladder."""
 
     @property
     def is_test(self) -> bool:
@@ -163,7 +167,9 @@ class LedgerEntry(_Line):
         scenes = tuple(sorted(self.tiers.items()))
         panel = (drawn_by, self.suite_digest, self.panel, scenes)
         scores = tuple(sorted(self.scores.items()))
-        return (*panel, self.bar, self.confidence, *(rules.values() if rules else ()), *scores)
+        limits = tuple(sorted(self.limits.items()))
+        judged = (*(rules.values() if rules else ()), *scores, *limits)
+        return (*panel, self.bar, self.confidence, *judged)
 
 
 def _entry_of(
@@ -209,6 +215,11 @@ def _entry_of(
             item.spec.name: (item.bar, item.max_drop, item.spec.low, item.spec.high)
             for item in verdict.scores
             if item.bar is not None or item.max_drop is not None
+        },
+        limits={
+            item.ladder: (item.at_least, item.max_drop)
+            for item in verdict.limits
+            if item.word is not None
         },
     )
 

@@ -202,8 +202,10 @@ def _alphas(test: LedgerEntry, *, bar: bool, baseline: bool) -> tuple[float, flo
     regressed = most_false_alarms(
         bar=by_bar,
         bar_critical=alone > 0,
-        # What an entry has is the share of success; each gated score has another one like it.
-        baseline=None if against is None else against.alpha_regr * (1 + len(test.scores)),
+        # What an entry has is the share of success; each gated score and limit has one like it.
+        baseline=None
+        if against is None
+        else against.alpha_regr * (1 + len(test.scores) + len(test.limits)),
         critical=min(critical, scenes),
         scenes=scenes,
     )

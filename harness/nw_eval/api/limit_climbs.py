@@ -23,9 +23,11 @@ from nw_eval.api.limit_gates import (
     holds_here,
     ladder_folders,
     limit_gate,
+    limit_search,
     rules_digest,
 )
 from nw_eval.suite.ladders import gated_ladder
+from nw_gate.limits.find import LimitSearch
 from nw_gate.limits.limit import Limit
 from nw_gate.results.baseline import SavedLimit, machine_of
 from nw_gate.results.provenance import read_run_info, write_run_info
@@ -41,7 +43,7 @@ if TYPE_CHECKING:
     from nw_sim.ladders import Ladder as SceneLadder
 
 
-def climb_limits(plan: Plan, folder: RunFolder, how: How) -> None:
+def climb_limits(plan: Plan, folder: RunFolder, how: How, *, search: bool = False) -> None:
     """Run what the ladders of a suite's gate need, after the trials of its scenes.
 
     Of a run in parts the first part does. Where the run is INVALID or INFRASTRUCTURE, nothing runs.
@@ -51,6 +53,7 @@ def climb_limits(plan: Plan, folder: RunFolder, how: How) -> None:
         plan: of the run.
         folder: of the run, whose trials have ended.
         how: how it is run.
+        search: whether the policy's limit is searched for its own sake, whatever the gate needs.
 
     Raises:
         SceneError, PolicyError, IncomparableError, StoreError: as `api.run`.
@@ -61,7 +64,9 @@ def climb_limits(plan: Plan, folder: RunFolder, how: How) -> None:
     run, began = read_run_info(folder.run_json), perf_counter()
     if run.interrupted or not plan.suite.gate.limits:
         return
-    if run.is_part:
+    if search:
+        names = asked_ladders(plan.suite, run)
+    elif run.is_part:
         names = (
             asked_ladders(plan.suite, run)
             if plan.shard is not None and plan.shard.index == 1
@@ -72,7 +77,10 @@ def climb_limits(plan: Plan, folder: RunFolder, how: How) -> None:
         names = tuple(item.ladder for item in limits if item.word == "INFRASTRUCTURE")
     against = kept_baseline(folder, run) if names else None
     for name in names:
-        interrupted = _climb_gated(plan, folder, run, name, against, how)
+        if search:
+            interrupted = _climb_searched(plan, folder, name, how)
+        else:
+            interrupted = _climb_gated(plan, folder, run, name, against, how)
         wall = run.wall_s + perf_counter() - began
         update = {"wall_s": wall, "interrupted": interrupted}
         write_run_info(folder.run_json, run.model_copy(update=update))
@@ -163,6 +171,17 @@ def _climb_gated(
     return _climbed(own, family, gate, how, at / "candidate")
 
 
+def _climb_searched(plan: Plan, folder: RunFolder, name: str, how: How) -> bool:
+    """Search for the policy's limit on one ladder; return whether a signal came first."""
+    from nw_sim.ladders import ladder_named
+
+    family, asked = ladder_named(name, plan.suite.base), plan.suite.gate.limits[name]
+    path = limit_search(asked, plan.suite.gate, gated_ladder(family))
+    own = ladder_plan_of_run(family, plan, asked.trials)
+    at = ladder_folders(folder, plan.suite.gate)[name]
+    return _climbed(own, family, path, how, at / "candidate")
+
+
 def _measured(
     plan: Plan,
     run: RunInfo,
@@ -195,6 +214,7 @@ def _climbed(plan: Plan, family: SceneLadder, path: TrialPath, how: How, out: Pa
         "nw-climb": 1,
         "ladder": family.name,
         "title": title_of(family),
+        "searched": isinstance(path, LimitSearch),
         "unit": family.unit,
         "rungs": [rung.value for rung in family.rungs],
         "cells": [[scene, dict(cell)] for scene, cell in rung_cells(plan, family)],

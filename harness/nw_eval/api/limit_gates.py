@@ -20,7 +20,7 @@ from nw_base.files.inside import what_is
 from nw_eval.api.ladder_runs import (
     folder_names,
 )
-from nw_gate.limits.against import BASELINE_CONFIDENCE, LimitGate, LimitMargins
+from nw_gate.limits.against import BASELINE_CONFIDENCE, LimitGate, LimitMargins, judge_limit
 from nw_gate.limits.find import LimitSearch
 from nw_gate.limits.ladder import Ladder, LimitTrial
 from nw_gate.limits.limit import Limit
@@ -31,10 +31,11 @@ from nw_gate.verdict import LimitFinding
 
 if TYPE_CHECKING:
     from nw_eval.suite import Suite
+    from nw_gate.limits.path import TrialPath
     from nw_gate.results.baseline import LoadedBaseline
     from nw_gate.results.provenance import RunInfo
     from nw_gate.settings import Gate, LadderGate
-    from nw_gate.verdict import Verdict
+    from nw_gate.verdict import Verdict, Word
 
 MOST_SAVED = 240
 """Trials for a baseline's limit on one ladder, at most: its bounds are surer than a candidate's."""
@@ -136,6 +137,8 @@ class _Climbed:
     title: str
     run: RunInfo
     results: Mapping[LimitTrial, bool]
+    searched: bool
+    """Whether its trials are those of a search for the limit, not of the gate."""
 
 
 def _read(at: Path, *, mend: bool) -> _Climbed | None:
@@ -152,7 +155,11 @@ def _read(at: Path, *, mend: bool) -> _Climbed | None:
         return None
     run = read_run_info(folder.run_json)
     try:
-        ladder, title, cells = _rungs(file)
+        if file.stat().st_size > _MOST_BYTES:
+            raise ValueError("it is too large")  # noqa: TRY301  # As what cannot be parsed.
+        said: dict[str, Any] = json.loads(file.read_bytes())
+        ladder, cells = _rungs(said)
+        title, searched = clean(str(said["title"]), at_most=200), said["searched"] is True
     except (OSError, ValueError, TypeError, KeyError, AttributeError, UsageError) as error:
         raise StoreError(f"{file} is damaged: {error}", fix="run again or restore it") from None
     rungs = {cell: number for number, cell in enumerate(cells)}
@@ -162,18 +169,15 @@ def _read(at: Path, *, mend: bool) -> _Climbed | None:
         for row in rows
         if row.status == "ok" and (row.scene, row.perturbation) in rungs
     }
-    return _Climbed(ladder=ladder, title=title, run=run, results=results)
+    return _Climbed(ladder=ladder, title=title, run=run, results=results, searched=searched)
 
 
-def _rungs(file: Path) -> tuple[Ladder, str, list[Stratum]]:
-    """Return what `ladder.json` says: the ladder, its title, and where each rung's trials ran.
+def _rungs(said: Mapping[str, Any]) -> tuple[Ladder, list[Stratum]]:
+    """Return what `ladder.json` says of its rungs, and where their trials ran.
 
     Raises:
-        OSError, ValueError, TypeError, KeyError, AttributeError, UsageError: it is damaged.
+        ValueError, TypeError, KeyError, AttributeError, UsageError: it is damaged.
     """
-    if file.stat().st_size > _MOST_BYTES:
-        raise ValueError("it is too large")
-    said: dict[str, Any] = json.loads(file.read_bytes())
     ladder = Ladder(
         name=clean(str(said["ladder"]), at_most=200),
         unit=clean(str(said["unit"]), at_most=20),
@@ -185,7 +189,7 @@ def _rungs(file: Path) -> tuple[Ladder, str, list[Stratum]]:
     ]
     if len(cells) != len(ladder.rungs):
         raise ValueError("its rungs and scenes differ in number")
-    return ladder, clean(str(said["title"]), at_most=200), cells
+    return ladder, cells
 
 
 def compares(asked: LadderGate, run: RunInfo, against: LoadedBaseline | None) -> bool:
@@ -201,19 +205,33 @@ def limit_gate(
     asked: LadderGate, gate: Gate, ladder: Ladder, baseline: Limit | None
 ) -> LimitGate | None:
     """Return what asks for trials and judges them; None where nothing is to be shown."""
+    margins = _margins(asked, gate, baseline)
+    if margins is None:
+        return None
+    return LimitGate(
+        margins, baseline=baseline, ladder=ladder, share=asked.share, most=asked.trials
+    )
+
+
+def limit_search(asked: LadderGate, gate: Gate, ladder: Ladder) -> LimitSearch:
+    """Return the search for a policy's limit for its own sake, as `watch` does it."""
+    return LimitSearch(
+        ladder, share=asked.share, confidence=gate.confidence, width=_WIDTH, most=asked.trials
+    )
+
+
+def _margins(asked: LadderGate, gate: Gate, baseline: Limit | None) -> LimitMargins | None:
+    """Return what must be shown of a limit; None where nothing is."""
     drops = asked.max_drop is not None and baseline is not None
     if not drops and asked.at_least is None:
         return None
-    margins = LimitMargins(
+    return LimitMargins(
         max_drop=asked.max_drop if drops else None,
         tolerate=asked.tolerate if drops else 0.0,
         at_least=asked.at_least,
         confidence=gate.confidence,
         false_alarm=gate.false_alarm,
         ladders=gate.shared,
-    )
-    return LimitGate(
-        margins, baseline=baseline, ladder=ladder, share=asked.share, most=asked.trials
     )
 
 
@@ -230,47 +248,88 @@ def _finding(
     """Return what one ladder shows."""
     asked, at = suite.gate.limits[name], ladder_folders(folder, suite.gate)[name]
     own = _read(at / "candidate", mend=mend)
-    title = name if own is None else own.title
-
-    def found(sentence: str, word: Any = None, **limits: Limit | None) -> LimitFinding:
-        return LimitFinding(
-            ladder=name,
-            title=title,
-            word=word,
-            sentence=f"{name}: {sentence}".rstrip("."),
-            at_least=asked.at_least,
-            max_drop=asked.max_drop,
-            **limits,
-        )
-
-    if own is None and name not in asked_ladders(suite, info):
-        return found("not climbed, as --scenes leaves it out")
-    same = asked.max_drop is not None and against is not None
-    same = same and not compares(asked, info, against)
-    if asked.at_least is None and same:
-        return found("the limit is the baseline's, as the policy is", "PASS")
-    if asked.at_least is None and against is None:
-        return found(f"max_drop {asked.max_drop:g} is not judged without a baseline")
+    candidate = baseline = None
     if own is None:
-        if verdict is not None and verdict.verdict in {"INVALID", "INFRASTRUCTURE"}:
-            return found(f"not climbed, as the run is {verdict.verdict} without it")
-        return found("its trials are missing; --resume runs them", "INFRASTRUCTURE")
-    baseline = None
+        word, sentence = _unclimbed(name, info, suite, against, verdict)
+    else:
+        shown = _shown(name, own, at, info, suite, against, mend=mend)
+        word, sentence, candidate, baseline = shown
+    return LimitFinding(
+        ladder=name,
+        title=name if own is None else own.title,
+        word=word,
+        sentence=f"{name}: {sentence}".rstrip("."),
+        candidate=candidate,
+        baseline=baseline,
+        at_least=asked.at_least,
+        max_drop=asked.max_drop,
+    )
+
+
+_UNJUDGED = "max_drop is not judged without a baseline"
+
+
+def _unclimbed(
+    name: str,
+    info: RunInfo,
+    suite: Suite,
+    against: LoadedBaseline | None,
+    verdict: Verdict | None,
+) -> tuple[Word | None, str]:
+    """Return the word and the sentence on a ladder on which no trial ran."""
+    asked = suite.gate.limits[name]
+    if asked.at_least is None and against is None:
+        return None, _UNJUDGED
+    if asked.at_least is None and not compares(asked, info, against):
+        return "PASS", "the limit is the baseline's, as the policy is"
+    if name not in asked_ladders(suite, info):
+        return None, "not climbed, as --scenes leaves it out"
+    if verdict is not None and verdict.verdict in {"INVALID", "INFRASTRUCTURE"}:
+        return None, f"not climbed, as the run is {verdict.verdict} without it"
+    return "INFRASTRUCTURE", "its trials are missing; --resume runs them"
+
+
+def _shown(
+    name: str,
+    own: _Climbed,
+    at: Path,
+    info: RunInfo,
+    suite: Suite,
+    against: LoadedBaseline | None,
+    *,
+    mend: bool,
+) -> tuple[Word | None, str, Limit | None, Limit | None]:
+    """Return word, sentence and the limits of candidate and baseline on a ladder with trials."""
+    asked, baseline = suite.gate.limits[name], None
     if compares(asked, info, against):
         assert against is not None, "there is something to compare with"
         baseline = _baseline_limit(name, asked, at, own, info, against, mend=mend)
         if baseline is None:
-            return found("the baseline has no limit that holds here; run again", "INFRASTRUCTURE")
-    gate = limit_gate(asked, suite.gate, own.ladder, baseline)
-    assert gate is not None, "there is something to show"
-    whole = gate.follow(own.results)
-    shown = gate.verdict
-    limits = {"candidate": shown.candidate, "baseline": baseline}
+            why = "the baseline has no limit that holds here; run again"
+            return "INFRASTRUCTURE", why, None, None
+    path: TrialPath | None = limit_search(asked, suite.gate, own.ladder)
+    if not own.searched:
+        path = limit_gate(asked, suite.gate, own.ladder, baseline)
+    if path is None:
+        return None, _UNJUDGED, None, None
+    whole, margins = path.follow(own.results), _margins(asked, suite.gate, baseline)
+    limit = path.limit
+    if not whole and not _is_begun_with(info, against):
+        why = "the trials that this baseline asks for did not run"
+        return "INCONCLUSIVE", why, limit, baseline
     if not whole:
-        return found(
-            "trials are missing or ended in errors; --resume runs them", "INFRASTRUCTURE", **limits
-        )
-    return found(shown.sentence.removeprefix(f"{name}: "), shown.word, **limits)
+        why = "trials are missing or ended in errors; --resume runs them"
+        return "INFRASTRUCTURE", why, limit, baseline
+    if margins is None:
+        return None, _UNJUDGED, limit, baseline
+    shown = judge_limit(limit, margins, baseline)
+    return shown.word, shown.sentence.removeprefix(f"{name}: "), limit, baseline
+
+
+def _is_begun_with(info: RunInfo, against: LoadedBaseline | None) -> bool:
+    """Whether a run was begun with the baseline that it is judged by."""
+    begun = None if info.baseline is None else info.baseline.sha256
+    return begun == (None if against is None else against.info.sha256)
 
 
 def _baseline_limit(
@@ -285,9 +344,10 @@ def _baseline_limit(
 ) -> Limit | None:
     """Return the baseline's limit: measured beside the run, or as it was saved; None if neither."""
     from nw_eval.api.saved_run import saved_suite
+    from nw_gate.baseline.match import is_baseline
 
     beside = _read(at / "baseline", mend=mend)
-    if beside is not None:
+    if beside is not None and is_baseline(beside.run.policy, against.results):
         search = baseline_search(beside.ladder, asked.share)
         return search.limit if search.follow(beside.results) else None
     saved = against.results.manifest.limits.get(name)

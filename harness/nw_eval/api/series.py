@@ -300,7 +300,8 @@ def _finding(run: RunReport) -> Decision:
             if is_wrong
             else "run the same command again to resume",
         )
-    words = (verdict.against.word, *(item.word for item in verdict.scores))
+    words = [verdict.against.word, *(item.word for item in verdict.scores)]
+    words += [item.word for item in verdict.limits]
     if "REGRESSED" in words:
         return "REGRESSED"
     return "INCONCLUSIVE" if "INCONCLUSIVE" in words else "PASS"

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from nw_eval.api.reports import RunReport
     from nw_eval.api.surfaces import Surfaces
+    from nw_gate.limits.ladder import Ladder
     from nw_gate.results.request import Request
 
 SUFFIXES = (".jit", ".msgpack", ".onnx", ".pt", ".pt2", ".pth", ".safetensors", ".zip")
@@ -75,6 +76,10 @@ class WatchedCheckpoint:
     """Why it could not be used."""
     scores: dict[str, float] = field(default_factory=dict[str, float])
     """Means of what was measured beside success, by name, each in its unit."""
+    limits: dict[str, tuple[float | None, float | None]] = field(
+        default_factory=dict[str, tuple[float | None, float | None]]
+    )
+    """Hardest value that is cleared and easiest that is not, by ladder, each in its unit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -292,6 +297,7 @@ class _Watch:
     obstacles: tuple[str, ...] = field(init=False)
     """Why no checkpoint can PASS beside one that never fails."""
     _state: _State = field(init=False)
+    _ladders: dict[str, Ladder] = field(init=False)
     _known: set[tuple[str, tuple[int, int]]] = field(
         init=False, default_factory=set[tuple[str, tuple[int, int]]]
     )
@@ -299,7 +305,9 @@ class _Watch:
     def __post_init__(self) -> None:
         from nw_eval.api.surfaces import check_surfaces
         from nw_eval.suite import load_suite
+        from nw_eval.suite.ladders import gated_ladder
         from nw_policies import find_card
+        from nw_sim.ladders import ladder_named
 
         check_surfaces(self.where)
         assert self.request.suite is not None, "a watch is of a suite"
@@ -314,6 +322,9 @@ class _Watch:
             trials=self.request.trials,
             scenes=self.request.scenes,
         )
+        self._ladders = {
+            name: gated_ladder(ladder_named(name, suite.base)) for name in suite.gate.limits
+        }
         self._confidence, self._most_drop = suite.gate.confidence, suite.gate.most_drop
         earlier = _read_state(self.folder / _STATE)
         if earlier is not None:
@@ -421,6 +432,7 @@ class _Watch:
             replace(self.how, labels=labels),
             out=None if begun else folder,
             resume=folder if begun else None,
+            ladders="searched",
         )
         try:
             baseline = self._baseline()
@@ -502,6 +514,14 @@ class _Watch:
             drop_high=None if bounds is None else bounds.high,
             drop_trials=0 if against is None else against.trials,
             scores={item.spec.name: item.mean for item in verdict.scores if item.mean is not None},
+            limits={
+                item.ladder: tuple(
+                    None if bound is None else bound.value
+                    for bound in (item.candidate.lower, item.candidate.upper)
+                )
+                for item in verdict.limits
+                if item.candidate is not None
+            },
         )
 
     def _publish(self, judged: RunReport, step: int) -> None:
@@ -536,6 +556,7 @@ class _Watch:
                 best=None if best is None else best.step,
                 confidence=self._confidence,
                 obstacles=self.obstacles,
+                ladders=self._ladders,
             )
             temporary.write_text(page, encoding="utf-8")
 
@@ -607,11 +628,16 @@ def _write_table(path: Path, checkpoints: Sequence[WatchedCheckpoint]) -> None:
         "drop_trials": count,
         **dict.fromkeys(("success", "low", "high", "drop", "drop_low", "drop_high"), number),
         "scores": pa.map_(pa.string(), number),
+        "limits": pa.map_(pa.string(), pa.list_(number)),
     }
     schema = pa.schema(
         [(each.name, types.get(each.name, pa.string())) for each in fields(WatchedCheckpoint)]
     )
-    rows = [{**asdict(each), "scores": list(each.scores.items())} for each in checkpoints]
+    maps = ("scores", "limits")
+    rows = [
+        {**asdict(each), **{name: list(getattr(each, name).items()) for name in maps}}
+        for each in checkpoints
+    ]
     table = pa.Table.from_pylist(rows, schema=schema)
     with atomic_path(path) as temporary:
         pq.write_table(table, temporary)

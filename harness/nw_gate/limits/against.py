@@ -256,9 +256,9 @@ class LimitGate(TrialPath):
         )
 
     @property
-    def verdict(self) -> LimitVerdict:
-        """What the trials so far show."""
-        candidate = Limit(
+    def limit(self) -> Limit:
+        """What the trials so far show of the candidate's limit."""
+        return Limit(
             ladder=self.ladder,
             share=self.share,
             confidence=self.margins.confidence,
@@ -267,14 +267,11 @@ class LimitGate(TrialPath):
             staked=self._staked,
             expected=self._expected,
         )
-        word = self._claims.word(self._wealth)
-        return LimitVerdict(
-            word=word,
-            sentence=_sentence(word, candidate, self._baseline, self.margins),
-            candidate=candidate,
-            baseline=self._baseline,
-            margins=self.margins,
-        )
+
+    @property
+    def verdict(self) -> LimitVerdict:
+        """What the trials so far show."""
+        return judge_limit(self.limit, self.margins, self._baseline)
 
     @property
     def most(self) -> int:
@@ -294,6 +291,30 @@ class LimitGate(TrialPath):
         if spent or self._claims.word(wealth) != "INCONCLUSIVE":
             return None
         return self._claims.next(wealth, beliefs, self.share)
+
+
+def judge_limit(
+    candidate: Limit, margins: LimitMargins, baseline: Limit | None = None
+) -> LimitVerdict:
+    """Return what a candidate's trials show, whichever rule chose their rungs.
+
+    Args:
+        candidate: its trials; none of them from a start that a trial of the baseline's limit met.
+        margins: what must be shown.
+        baseline: limit to compare with; `max_drop` needs one.
+
+    Raises:
+        UsageError: `at_least` lies beyond the hardest rung.
+        IncomparableError: `max_drop` lacks a baseline, or it has another ladder.
+    """
+    word = Claims.of(candidate.ladder, margins, baseline).word(candidate.wealth)
+    return LimitVerdict(
+        word=word,
+        sentence=_sentence(word, candidate, baseline, margins),
+        candidate=candidate,
+        baseline=baseline,
+        margins=margins,
+    )
 
 
 def _won(ladder: Ladder, baseline: Limit | None) -> tuple[Array, Array]:

@@ -22,6 +22,7 @@ import numpy as np
 from nw_base.errors import UsageError
 from nw_gate.limits.curves import Beliefs, Curves
 from nw_gate.limits.ladder import Ladder, LimitTrial
+from nw_gate.limits.limit import Limit
 from nw_gate.limits.wealth import Wealth
 
 _LOOKS = 8  # Steps that `ahead` follows for each trial that it names.
@@ -62,6 +63,11 @@ class TrialPath(ABC):
     def trials(self) -> tuple[tuple[int, bool], ...]:
         """Rung and result of each trial that counts, in the order in which they count."""
         return tuple(self._path)
+
+    @property
+    @abstractmethod
+    def limit(self) -> Limit:
+        """What the trials so far show."""
 
     @property
     @abstractmethod
