@@ -56,7 +56,12 @@ REDUCED = MappingProxyType(
 )
 """Options that make a command cheap and leave it what it is."""
 
-ENDS = MappingProxyType({"nw-eval run my-suite.yaml --out mine": 3})  # One trial decides nothing.
+ENDS = MappingProxyType(
+    {
+        "nw-eval run my-suite.yaml --out mine": 3,  # One trial decides nothing.
+        "nw-eval run ./steps.yaml --policy stand --baseline go1-parkour": 1,
+    }
+)
 """Exit codes of commands that do not end with 0."""
 
 NOT_RUN = MappingProxyType(

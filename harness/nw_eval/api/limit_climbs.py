@@ -110,6 +110,8 @@ def baseline_limits(
     limits: dict[str, SavedLimit] = {}
     for name, at in ladder_folders(RunFolder(path=work), plan.suite.gate).items():
         family, asked = ladder_named(name, plan.suite.base), plan.suite.gate.limits[name]
+        if asked.max_drop is None:  # Nothing is compared with a baseline's limit.
+            continue
         own = ladder_plan_of_run(family, plan, MOST_SAVED)
         machine = machine_of(run_info(own, RunFolder(path=at), how))
         saved = known.get(name)
