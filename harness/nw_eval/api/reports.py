@@ -282,12 +282,16 @@ def _judged(
     with ThreadPoolExecutor(max_workers=1) as beside:
         opened = beside.submit(baseline)
         trials, spare = saved_trials(info, suite), spare_trials(info, suite)
-        found = read_trials(folder, info, trials, spare=spare, mend=mend)
-    return judged_rows(folder, info, suite, opened.result(), found)
+        recorded = read_trials(folder, info, trials, spare=spare, mend=mend)
+    return judged_rows(folder, info, suite, opened.result(), recorded)
 
 
 def judged_rows(
-    folder: RunFolder, info: RunInfo, suite: Suite, against: LoadedBaseline | None, found: RunRows
+    folder: RunFolder,
+    info: RunInfo,
+    suite: Suite,
+    against: LoadedBaseline | None,
+    recorded: RunRows,
 ) -> RunReport:
     """Return the verdict on rows that are read already, with what there is to remark on them.
 
@@ -297,18 +301,18 @@ def judged_rows(
     from nw_gate.baseline.combine import judge_run
     from nw_gate.results.evidence_check import lost_logs
 
-    verdict = judge_run(found.rows, info, suite.gate, against)
-    remarks = (*found.remarks, *lost_logs(found.rows))
+    verdict = judge_run(recorded.rows, info, suite.gate, against)
+    remarks = (*recorded.remarks, *lost_logs(recorded.rows))
     is_fresh = verdict.against is None or verdict.against.basis == "fresh"
     verdict = replace(verdict, reasons=(*verdict.reasons, *remarks))
     return RunReport(
         folder=folder.path,
         info=info,
         verdict=verdict,
-        rows=found.rows,
+        rows=recorded.rows,
         page=None,
         baseline=None if against is None else against.info,
-        rivals={} if against is None or is_fresh else against.rivals(found.rows, info),
+        rivals={} if against is None or is_fresh else against.rivals(recorded.rows, info),
         baseline_policy=None if against is None else against.results.manifest.policy,
     )
 
@@ -455,5 +459,5 @@ def _pages(out: Path) -> tuple[Path, Path]:
 
 def typed(path: Path) -> Path:
     """Return a path as one would type it here: relative where it lies below."""
-    resolved, here = path.resolve(), Path.cwd()
-    return resolved.relative_to(here) if resolved.is_relative_to(here) else resolved
+    resolved, folder = path.resolve(), Path.cwd()
+    return resolved.relative_to(folder) if resolved.is_relative_to(folder) else resolved

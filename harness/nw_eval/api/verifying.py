@@ -38,8 +38,8 @@ class VerifiedRun:
     @property
     def is_as_it_was(self) -> bool:
         """Whether nothing speaks against rows and logs."""
-        again = () if self.repeats is None else self.repeats.trials
-        return not self.files.findings and all(each.is_identical for each in again)
+        repeated = () if self.repeats is None else self.repeats.trials
+        return not self.files.findings and all(each.is_identical for each in repeated)
 
     @property
     def interrupted(self) -> bool:
