@@ -39,10 +39,10 @@ class PluginWarning(UserWarning):
 @cache
 def installed(group: str) -> dict[str, tuple[EntryPoint, ...]]:
     """Return the entry points of a group by name; several packages may claim one name."""
-    found: dict[str, tuple[EntryPoint, ...]] = {}
+    points: dict[str, tuple[EntryPoint, ...]] = {}
     for point in sorted(entry_points(group=group), key=lambda p: (p.name, distribution(p))):
-        found[point.name] = (*found.get(point.name, ()), point)
-    return found
+        points[point.name] = (*points.get(point.name, ()), point)
+    return points
 
 
 def distribution(point: EntryPoint) -> str:
@@ -116,13 +116,13 @@ def load(group: str, name: str, kind: type[_Kind]) -> _Kind:
     value = imported(group, name)
     called = getattr(value, "name", None)
     if not isinstance(value, kind):
-        found = f"a {type(value).__name__}, no nw_eval.{kind.__name__}"
+        actual = f"a {type(value).__name__}, no nw_eval.{kind.__name__}"
     elif called != name:
-        found = f"the {kind.__name__} {called!r}"
+        actual = f"the {kind.__name__} {called!r}"
     else:
         return value
     raise PluginError(
-        f"{subject(installed(group)[name][0])} is {found}",
+        f"{subject(installed(group)[name][0])} is {actual}",
         fix=f"the entry point {name!r} must name an nw_eval.{kind.__name__} with name={name!r}",
     )
 
@@ -144,13 +144,13 @@ def load_class(
     value = imported(group, name)
     kind = f"{group}.{base.__name__}"
     if not (isinstance(value, type) and base in value.__mro__):
-        found = f"a {type(value).__name__}, no subclass of {kind}"
+        actual = f"a {type(value).__name__}, no subclass of {kind}"
     elif (called := own_name(value)) != name:
-        found = f"the {base.__name__} {called!r}"
+        actual = f"the {base.__name__} {called!r}"
     else:
         return value
     raise PluginError(
-        f"{subject(installed(group)[name][0])} is {found}",
+        f"{subject(installed(group)[name][0])} is {actual}",
         fix=f"the entry point {name!r} must name a subclass of {kind} of that name",
     )
 
@@ -167,7 +167,7 @@ def usable(group: str, built_in: Collection[str]) -> dict[str, str]:
     The others are told in a `PluginWarning` each: broken ones with what went wrong, and those
     whose name is built in or taken.
     """
-    found: dict[str, str] = {}
+    packages: dict[str, str] = {}
     for name, points in installed(group).items():
         if name in built_in:
             warn_if_built_in(group, name)
@@ -178,8 +178,8 @@ def usable(group: str, built_in: Collection[str]) -> dict[str, str]:
         except Exception as error:  # noqa: BLE001 - whatever it is, it is that package's own.
             warn(f"{subject(points[0])} is broken: {type(error).__name__}: {error}")
         else:
-            found[name] = distribution(points[0])
-    return found
+            packages[name] = distribution(points[0])
+    return packages
 
 
 def warn_of_rivals(points: tuple[EntryPoint, ...]) -> None:

@@ -31,8 +31,8 @@ def bytes_of(text: str) -> int:
     Raises:
         ValueError: it is no such amount, or nothing.
     """
-    found = _AMOUNT.fullmatch(text.strip())
-    count = int(float(found[1]) * _UNITS[found[2].upper()]) if found else 0
+    match = _AMOUNT.fullmatch(text.strip())
+    count = int(float(match[1]) * _UNITS[match[2].upper()]) if match else 0
     if count < 1:
         raise ValueError("give a number and its unit, such as 2GB, 1.5GiB or 500MB")
     return count

@@ -25,17 +25,17 @@ def homes(stub: str) -> dict[str, str]:
     """Return in which module each public name of a stub, by its path, is at home."""
     with open(stub, encoding="utf-8") as file:  # noqa: PTH123  # pathlib would be loaded for it.
         text = file.read()
-    found: dict[str, str] = {}
+    modules: dict[str, str] = {}
     for line in f"\n{text}".split("\nfrom ")[1:]:
         module, _, names = line.partition(" import ")
         listed = names.partition(")" if names.startswith("(") else "\n")[0].split(",")
         if listed == ["*"]:
             root = stub.rsplit("/", 2)[0]
-            found |= homes(f"{root}/{module.replace('.', '/')}/__init__.pyi")
+            modules |= homes(f"{root}/{module.replace('.', '/')}/__init__.pyi")
         elif module.startswith("nw_"):
             each = (name.strip("( \n").partition(" as ")[0] for name in listed)
-            found |= {name: module for name in each if name}
-    return found
+            modules |= {name: module for name in each if name}
+    return modules
 
 
 def public_names(

@@ -33,7 +33,7 @@ __all__ = ["__version__", *_names]  # noqa: PLE0604  # pyright: ignore[reportUns
 
 def __getattr__(name: str) -> object:
     if name in _RENAMED:
-        now = _RENAMED[name]
-        warn(f"nw_eval.{name} is now nw_eval.{now}", DeprecationWarning, stacklevel=2)
-        return globals()[now] if now in globals() else _public(now)
+        new_name = _RENAMED[name]
+        warn(f"nw_eval.{name} is now nw_eval.{new_name}", DeprecationWarning, stacklevel=2)
+        return globals()[new_name] if new_name in globals() else _public(new_name)
     return _public(name)

@@ -73,7 +73,7 @@ def judge(
     """
     groups, left = by_scene(rows, planned), that_left(rows, gate)
     scores = tuple(
-        score(scene, found, planned.get(scene, 0), gate, left) for scene, found in groups.items()
+        score(scene, group, planned.get(scene, 0), gate, left) for scene, group in groups.items()
     )
     critical = [item.scene for item in scores if item.tier == "critical"]
     if drawn is None:
@@ -82,7 +82,7 @@ def judge(
         bar = _bar(drawn, gate, left, critical, is_drawn=True)
     flagged, bounds = bar.flagged, bar.bounds
     scores = tuple(replace(item, flagged=item.scene in flagged) for item in scores)
-    counted = [values for found in bar.groups if (values := successes(found, left)).size]
+    counted = [values for group in bar.groups if (values := successes(group, left)).size]
     success = float(np.mean([values.mean() for values in counted])) if counted else None
     seen = courses(groups, scores, left)
     word, reasons = _compare(bounds, scores, gate, against)
@@ -190,7 +190,7 @@ def _bar(
             scenes.setdefault(row.scene, []).append(row)
     counted = list(scenes.values())
     # A random draw is one sample of the mean over scenes, however many it has of each.
-    groups = [[row for found in counted for row in found]] if is_drawn else counted
+    groups = [[row for each in counted for row in each]] if is_drawn else counted
     return _Bar(
         groups=groups,
         bounds=_bounds(groups, left, gate),
@@ -226,8 +226,8 @@ def word_of_bar(rows: Sequence[Row], gate: Gate, scenes: Collection[str]) -> Wor
 
 def _bounds(judged: Sequence[Sequence[Row]], left: frozenset[str], gate: Gate) -> Interval:
     """Return the bounds of mean success; what left the captured volume counts against each."""
-    worst = [successes(found, left, counted=0.0) for found in judged]
-    best = [successes(found, left, counted=1.0) for found in judged]
+    worst = [successes(each, left, counted=0.0) for each in judged]
+    best = [successes(each, left, counted=1.0) for each in judged]
     most = 1.0 - (1.0 - gate.confidence) / gate.shared
     return Interval(lower_bound(worst, gate.confidence), upper_bound(best, most))
 
@@ -467,7 +467,7 @@ def courses(
         scores: of the scenes.
         left: trials that left the captured volume, of which nothing is known.
     """
-    found: list[SceneCounts] = []
+    courses: list[SceneCounts] = []
     for item in scores:
         rows = [
             row
@@ -481,8 +481,8 @@ def courses(
                 row.waypoints_reached if row.waypoints_total else round(row.success or 0.0)
                 for row in rows
             ]
-            found.append(SceneCounts.of(reached, waypoints, alone=item.tier == "critical"))
-    return found
+            courses.append(SceneCounts.of(reached, waypoints, alone=item.tier == "critical"))
+    return courses
 
 
 def advice(
@@ -512,10 +512,10 @@ def advice(
     )
     # Trials that were drawn are not as many in each scene.
     each, rest = divmod(n, len(seen))
-    now, where = (n, "") if rest else (each, " in each scene")
+    number, where = (n, "") if rest else (each, " in each scene")
     return (
-        f"{2 * now} trials{where} (now {now}) decide the bar with {twice} probability, "
-        f"{4 * now} with {four_times}, if the policy is as it looks so far; --resume with more "
+        f"{2 * number} trials{where} (now {number}) decide the bar with {twice} probability, "
+        f"{4 * number} with {four_times}, if the policy is as it looks so far; --resume with more "
         "--trials adds them"
     )
 

@@ -161,14 +161,14 @@ def cause_of(
         ValueError: no trial was ended by all four.
     """
     by_trial = {arm: {row.trial_id: row for row in rows[arm]} for arm in ARMS}
-    known = sorted(set.intersection(*(set(found) for found in by_trial.values())))
-    names = [n for n in known if all(found[n].success is not None for found in by_trial.values())]
+    known = sorted(set.intersection(*(set(of_arm) for of_arm in by_trial.values())))
+    names = [n for n in known if all(of_arm[n].success is not None for of_arm in by_trial.values())]
     if not names:
         raise ValueError("no trial was ended by all four")
-    y = {arm: _scores([found[name] for name in names]) for arm, found in by_trial.items()}
+    y = {arm: _scores([of_arm[name] for name in names]) for arm, of_arm in by_trial.items()}
     done = {
-        arm: np.array([bool(found[name].completed) for name in names])
-        for arm, found in by_trial.items()
+        arm: np.array([bool(of_arm[name].completed) for name in names])
+        for arm, of_arm in by_trial.items()
     }
     lost = y["old", "old"] - y["new", "new"]
     crossed = y["new", "old"] - y["old", "new"]
@@ -182,7 +182,7 @@ def cause_of(
         new=new,
         apart=apart,
         trials=len(names),
-        left_out=len(set.union(*(set(found) for found in by_trial.values()))) - len(names),
+        left_out=len(set.union(*(set(rows) for rows in by_trial.values()))) - len(names),
         regressed=int(fell.sum()),
         arms=tuple(
             ArmScore(

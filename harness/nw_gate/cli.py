@@ -112,21 +112,23 @@ def _span(text: str) -> tuple[float, float]:
     return low, high
 
 
-def table(found: Judgement) -> str:
+def table(judgement: Judgement) -> str:
     """Return the verdict, its reasons, and a line for each task."""
-    lines = [found.word, *(f"  {why}" for why in found.reasons)]
-    if found.decided_after is not None:
-        lines.append(f"  settled after {found.decided_after} of {found.rounds} episodes a task")
-    if found.paired_by == "order":
+    lines = [judgement.word, *(f"  {why}" for why in judgement.reasons)]
+    if judgement.decided_after is not None:
+        lines.append(
+            f"  settled after {judgement.decided_after} of {judgement.rounds} episodes a task"
+        )
+    if judgement.paired_by == "order":
         lines.append("  paired by order: the files do not name the same initial states")
-    width = max(len(task.task) for task in found.tasks)
+    width = max(len(task.task) for task in judgement.tasks)
     lines += ["", f"  {'task':{width}}  episodes  candidate  baseline"]
-    for task in found.tasks:
+    for task in judgement.tasks:
         old = "-" if task.baseline is None else f"{task.baseline:.3f}"
         mark = "  fell" if task.fell else ""
         lines.append(
             f"  {task.task:{width}}  {task.pairs:8}  {task.candidate:9.3f}  {old:>8}{mark}"
         )
-    old = "-" if found.baseline is None else f"{found.baseline:.3f}"
-    lines.append(f"  {'mean':{width}}  {'':8}  {found.candidate:9.3f}  {old:>8}")
+    old = "-" if judgement.baseline is None else f"{judgement.baseline:.3f}"
+    lines.append(f"  {'mean':{width}}  {'':8}  {judgement.candidate:9.3f}  {old:>8}")
     return "\n".join(lines)

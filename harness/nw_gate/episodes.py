@@ -252,8 +252,8 @@ def _of_inspect(sample: Mapping[str, Any], log: Mapping[str, Any]) -> Mapping[st
         for name, value in values.items()
     }
     task = _mapping(log.get("eval") or {}).get("task") or _ONE_TASK
-    found = {"task": task, "episode": f"{sample.get('id')}:{sample.get('epoch', 1)}", **graded}
-    return {**found, "score": next(iter(graded.values()))} if len(graded) == 1 else found
+    fields = {"task": task, "episode": f"{sample.get('id')}:{sample.get('epoch', 1)}", **graded}
+    return {**fields, "score": next(iter(graded.values()))} if len(graded) == 1 else fields
 
 
 def _of_averages(held: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
@@ -329,11 +329,11 @@ def _asked(path: Path, what: str, names: str | None, known: Sequence[str]) -> li
     """Return the columns that were asked for, or None; raises UsageError where one is not there."""
     if names is None:
         return None
-    found = [name.strip() for name in names.split(",")] if what != "score" else [names]
-    for name in found:
+    columns = [name.strip() for name in names.split(",")] if what != "score" else [names]
+    for name in columns:
         if name not in known:
             raise UsageError(f"{path} has no column {name!r}", fix=nearest(name, known))
-    return found
+    return columns
 
 
 def _telling_apart(

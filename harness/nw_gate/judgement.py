@@ -168,7 +168,7 @@ def judge(
     if baseline is None and limits.bar is None:
         raise UsageError("there is nothing to judge by", fix="name a baseline or a bar")
     ours, absent = _by_task(new)
-    found: list[tuple[GateWord | None, str]] = []
+    reasons: list[tuple[GateWord | None, str]] = []
     decided: int | None = None
     drop: float | None = None
     interval: Interval | None = None
@@ -198,20 +198,20 @@ def judge(
             word, decided = "INCONCLUSIVE", None
         else:
             why = _drop_words(word, drop, interval, limits)
-        found.append((word, why))
+        reasons.append((word, why))
         each = limits.false_alarm / len(groups)
         for (task, pair), group in zip(pairs.items(), groups, strict=True):
             fell = evidence_above([1.0 - group], (1.0 + limits.task_drop) / 2.0) >= 1.0 / each
             candidate, other = map(float, pair.mean(axis=0))
             means[task] = candidate, other, len(pair), fell
-        found += _fallen(means, limits)
+        reasons += _fallen(means, limits)
     if limits.bar is not None:
-        found.append(_by_bar(ours, limits))
+        reasons.append(_by_bar(ours, limits))
     if absent:
-        found.append(
+        reasons.append(
             ("INCONCLUSIVE", f"{plural(absent, 'episode')} without a score: PASS needs all of them")
         )
-    words = [word for word, _ in found]
+    words = [word for word, _ in reasons]
     final: GateWord = (
         "REGRESSED"
         if "REGRESSED" in words
@@ -226,7 +226,7 @@ def judge(
     others = [task.baseline for task in tasks if task.baseline is not None]
     return Judgement(
         word=final,
-        reasons=tuple(why for _, why in found),
+        reasons=tuple(why for _, why in reasons),
         candidate=float(np.mean([task.candidate for task in tasks])),
         baseline=float(np.mean(others)) if others else None,
         drop=drop,
@@ -241,13 +241,13 @@ def judge(
 
 def _by_task(evaluation: Evaluation) -> tuple[dict[str, list[Scored]], int]:
     """Return the episodes that have a score, by task, and how many have none."""
-    found: dict[str, list[Scored]] = defaultdict(list)
+    by_task: dict[str, list[Scored]] = defaultdict(list)
     for episode in evaluation.episodes:
         if episode.score is not None:
-            found[episode.task].append((episode.start, episode.score))
-    if not found:
+            by_task[episode.task].append((episode.start, episode.score))
+    if not by_task:
         raise UsageError(f"{evaluation.name}: no episode has a score")
-    return dict(found), sum(episode.score is None for episode in evaluation.episodes)
+    return dict(by_task), sum(episode.score is None for episode in evaluation.episodes)
 
 
 def _unlike(

@@ -230,33 +230,33 @@ def _trajectories(rows: Sequence[Row], suite_digest: str) -> dict[str, str]:
     Two candidates that met the same starts keep the same ones of them. A trial that a policy failed
     in tells nothing: many do so at once, in the same way.
     """
-    found: dict[str, str] = {}
+    by_start: dict[str, str] = {}
     for row in rows:
         if row.status == "ok" and row.outcome != "policy_failed" and row.state_digest:
             facts = [suite_digest, row.scene, row.scene_digest, row.perturbation, row.seed_index]
             start = sha256(json.dumps([*facts, row.seed]).encode()).hexdigest()[:16]
-            found[start] = trajectory(row)
-    return dict(sorted(found.items())[:_MOST_TRAJECTORIES])
+            by_start[start] = trajectory(row)
+    return dict(sorted(by_start.items())[:_MOST_TRAJECTORIES])
 
 
 def _baseline(verdict: Verdict, baseline: BaselineInfo | None) -> BaselineEntry | None:
-    found = verdict.against
-    if found is None:
+    comparison = verdict.against
+    if comparison is None:
         return None
     return BaselineEntry(
-        bank=found.baseline_name,
+        bank=comparison.baseline_name,
         digest="" if baseline is None else baseline.sha256,
-        basis=found.basis,
-        word=found.word,
-        trials=found.trials,
-        drop=found.drop,
-        max_drop=found.max_drop,
-        tolerate=found.tolerate,
-        alpha_pass=found.alpha_pass,
-        alpha_regr=found.alpha_regr,
-        scene_drop=found.scene_drop,
-        scenes=sum(scene.counts for scene in found.scenes),
-        critical=sum(scene.tier == "critical" for scene in found.scenes),
+        basis=comparison.basis,
+        word=comparison.word,
+        trials=comparison.trials,
+        drop=comparison.drop,
+        max_drop=comparison.max_drop,
+        tolerate=comparison.tolerate,
+        alpha_pass=comparison.alpha_pass,
+        alpha_regr=comparison.alpha_regr,
+        scene_drop=comparison.scene_drop,
+        scenes=sum(scene.counts for scene in comparison.scenes),
+        critical=sum(scene.tier == "critical" for scene in comparison.scenes),
     )
 
 

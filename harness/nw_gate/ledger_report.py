@@ -225,36 +225,36 @@ def _rerolls(tests: Sequence[LedgerEntry], whose: Mapping[str, str]) -> tuple[Re
     def who(test: LedgerEntry) -> tuple[str, str]:
         return test.suite, whose[test.candidate_digest]
 
-    found: list[Reroll] = []
+    rerolls: list[Reroll] = []
     for (suite, digest), group in groupby(sorted(tests, key=who), key=who):
-        again = list(group)
-        if len(again) > 1:
-            chances = [_alphas(test, bar=True, baseline=True) for test in again]
-            found.append(
+        entries = list(group)
+        if len(entries) > 1:
+            chances = [_alphas(test, bar=True, baseline=True) for test in entries]
+            rerolls.append(
                 Reroll(
-                    candidate=again[-1].candidate,
+                    candidate=entries[-1].candidate,
                     digest=digest,
-                    exports=len({test.candidate_digest for test in again}),
+                    exports=len({test.candidate_digest for test in entries}),
                     suite=suite,
-                    tests=len(again),
-                    words=tuple(test.word for test in again),
+                    tests=len(entries),
+                    words=tuple(test.word for test in entries),
                     false_regressed=min(1.0, sum(regressed for regressed, _ in chances)),
                     false_passed=min(1.0, sum(passed for _, passed in chances)),
                 )
             )
-    return tuple(found)
+    return tuple(rerolls)
 
 
 def _best_of_many(tests: Sequence[LedgerEntry], whose: Mapping[str, str]) -> tuple[BestOfMany, ...]:
     def panel(test: LedgerEntry) -> tuple[str, str, str]:
         return test.suite, test.suite_digest, test.panel
 
-    found: list[BestOfMany] = []
+    best: list[BestOfMany] = []
     for _, group in groupby(sorted(tests, key=panel), key=panel):
         latest = {whose[test.candidate_digest]: test for test in group if test.seen}
         if len(latest) > 1:
-            found.append(_best(list(latest.values())))
-    return tuple(found)
+            best.append(_best(list(latest.values())))
+    return tuple(best)
 
 
 def _best(tests: Sequence[LedgerEntry]) -> BestOfMany:

@@ -69,10 +69,10 @@ def declared(names: Iterable[str], info: ValidationInfo) -> dict[str, ScoreSpec]
     """
     said = (info.context or {}).get("plugins", {})
     own: Mapping[str, ScoreSpec] = (info.context or {}).get("own", {})
-    found = {name: own[name] for name in names if name in own}
+    specs = {name: own[name] for name in names if name in own}
     others = [name for name in names if name not in own]
     try:
-        return found | specs_of(name for name in others if not is_elsewhere(SCORES, name, said))
+        return specs | specs_of(name for name in others if not is_elsewhere(SCORES, name, said))
     except NwEvalError as error:
         raise ValueError(str(error)) from None
 

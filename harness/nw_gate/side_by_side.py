@@ -330,14 +330,14 @@ def _own(entrants: Sequence[Entrant]) -> list[_Starts]:
     counts = [Counter(name[:2] for name in names) for names in results]
     strata = sorted(set().union(*counts))
     most = {stratum: min(count[stratum] for count in counts) for stratum in strata}
-    found: list[_Starts] = []
+    own: list[_Starts] = []
     for names in results:
         scenes: dict[str, list[StartName]] = {scene: [] for scene in _scenes(entrants)}
         for stratum, group in groupby(names, key=lambda name: name[:2]):
             if stratum[0] in scenes:
                 scenes[stratum[0]] += islice(group, most[stratum])
-        found.append(scenes)
-    return found
+        own.append(scenes)
+    return own
 
 
 def _by_stratum(starts: _Starts) -> Iterator[tuple[object, Iterator[StartName]]]:
@@ -414,7 +414,7 @@ def _scores(
     entrants: Sequence[Entrant], met: Sequence[_Starts], confidence: float
 ) -> tuple[ComparedScore, ...]:
     """Return the scores that all were measured by, and that all declare alike."""
-    found: list[ComparedScore] = []
+    scores: list[ComparedScore] = []
     for name, spec in entrants[0].scores.items():
         if any(each.scores.get(name) != spec for each in entrants):
             continue
@@ -429,8 +429,8 @@ def _scores(
             estimates.append(
                 replace(scaled, mean=spec.unscaled(scaled.mean), interval=Interval(*ends))
             )
-        found.append(ComparedScore(spec=spec, estimates=tuple(estimates)))
-    return tuple(found)
+        scores.append(ComparedScore(spec=spec, estimates=tuple(estimates)))
+    return tuple(scores)
 
 
 def _labels(entrants: Sequence[Entrant]) -> list[str]:
@@ -469,14 +469,14 @@ def _partings(
     # The few waypoints of all scenes together are not to pay for the many of single ones.
     error = (1.0 - confidence) / (2 if together else 1)
     shown = {**first_shown(together, error), **first_shown(alone, error)}
-    found: list[SceneParting] = []
+    partings: list[SceneParting] = []
     for where, waypoints in (together | alone).items():
         suspect = next((each for each in waypoints if each.p <= 1.0 - confidence), None)
         if at := shown.get(where, suspect):
             place, scene = where
-            found.append(SceneParting(scene=scene, policy=place, at=at, shown=where in shown))
-    found.sort(key=lambda each: (not each.shown, each.policy, each.scene or ""))
-    return tuple(found), sum(map(len, (together | alone).values()))
+            partings.append(SceneParting(scene=scene, policy=place, at=at, shown=where in shown))
+    partings.sort(key=lambda each: (not each.shown, each.policy, each.scene or ""))
+    return tuple(partings), sum(map(len, (together | alone).values()))
 
 
 def _ends(entrant: Entrant, names: Sequence[StartName]) -> Ends:
@@ -569,21 +569,21 @@ def _counted(result: Row | Start, spec: ScoreSpec | None) -> float:
 def _entrant(result: RealResult, entrants: Sequence[Entrant]) -> Entrant:
     """Return the one that a line of the robot's means: by its policy's name, or by its own."""
     known = {_own_name(each) for each in entrants} | {each.policy for each in entrants}
-    found = [each for each in entrants if result.policy == _own_name(each)] or [
+    candidates = [each for each in entrants if result.policy == _own_name(each)] or [
         each for each in entrants if result.policy == each.policy
     ]
-    if not found:
+    if not candidates:
         raise UsageError(
             f"{result.place}: policy {result.policy!r} is that of no run",
             fix=nearest(result.policy, known),
         )
-    if len(found) > 1:
+    if len(candidates) > 1:
         raise UsageError(
-            f"{result.place}: policy {result.policy!r} may be {found[0].source} or "
-            f"{found[1].source}",
+            f"{result.place}: policy {result.policy!r} may be {candidates[0].source} or "
+            f"{candidates[1].source}",
             fix="call it by the name of its run's folder",
         )
-    return found[0]
+    return candidates[0]
 
 
 def _own_name(entrant: Entrant) -> str:

@@ -226,9 +226,9 @@ def _point(
     for row in rows:
         if row.success is not None:
             scenes.setdefault(row.scene, []).append(row)
-    found = [[row.success for row in group] for _, group in sorted(scenes.items())]
-    if found:
-        estimate = mean_of_scenes([np.array(group) for group in found], confidence)
+    successes = [[row.success for row in group] for _, group in sorted(scenes.items())]
+    if successes:
+        estimate = mean_of_scenes([np.array(group) for group in successes], confidence)
         mean, interval = estimate.mean, estimate.interval
     else:
         mean, interval = None, Interval(0.0, 1.0)

@@ -87,10 +87,10 @@ def in_a_sentence(rows: Sequence[Row], left: frozenset[str], gate: Gate) -> tupl
     """
     if gate.validity is None:
         return ()
-    found: list[str] = []
+    sentences: list[str] = []
     if left:
         scenes = plural(len({row.scene for row in rows if row.trial_id in left}), "scene")
-        found.append(
+        sentences.append(
             f"{plural(len(left), 'trial')} left the captured volume for longer than "
             f"{gate.validity.longer_than:g} s in {scenes}, and count for neither side: as failures "
             "for a PASS, as successes for a REGRESSED"
@@ -98,11 +98,11 @@ def in_a_sentence(rows: Sequence[Row], left: frozenset[str], gate: Gate) -> tupl
     seeing = {row.scene for row in rows if row.coverage_mean is not None}
     known = {row.scene for row in rows if row.capture_alpha}
     if unknown := seeing - known:
-        found.append(
+        sentences.append(
             f"gate.validity was not looked at in {plural(len(unknown), 'scene')} that no "
             "`captures` says from where it was photographed"
         )
-    return tuple(found)
+    return tuple(sentences)
 
 
 def _is_beyond(distance: float, angle: float, alpha: float, validity: Validity) -> bool:

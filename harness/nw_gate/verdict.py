@@ -154,14 +154,16 @@ class Verdict:
         """What made it REGRESSED, in words: the bar, the baseline, a scene, a score."""
         if self.verdict != "REGRESSED":
             return ()
-        found, by = self.against, list[str]()
+        comparison, by = self.against, list[str]()
         if self.bar is not None and self.interval.high < self.bar:
             by.append("the bar")
         scenes = [item.scene for item in self.per_scene if item.flagged]
-        if found is not None and found.word == "REGRESSED":
-            if found.mean_regressed:
+        if comparison is not None and comparison.word == "REGRESSED":
+            if comparison.mean_regressed:
                 by.append("the baseline comparison")
-            critical = (item for item in found.scenes if item.named and item.tier == "critical")
+            critical = (
+                item for item in comparison.scenes if item.named and item.tier == "critical"
+            )
             scenes += [item.name for item in critical]
         by += [f"critical scene {name}" for name in dict.fromkeys(scenes)]
         return (

@@ -81,8 +81,8 @@ class TrainFolder:
     @property
     def checkpoints(self) -> tuple[Path, ...]:
         """The kept checkpoints, oldest first."""
-        found = (self.path / "checkpoints").glob("*.pt")
-        kept = [path for path in found if _CHECKPOINT.fullmatch(path.name)]
+        files = (self.path / "checkpoints").glob("*.pt")
+        kept = [path for path in files if _CHECKPOINT.fullmatch(path.name)]
         return tuple(sorted(kept, key=lambda path: int(path.stem)))
 
     def save_state(self, state: State) -> None:

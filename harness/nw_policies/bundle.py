@@ -268,14 +268,14 @@ class Bundle:
     @cached_property
     def plugins(self) -> dict[str, str]:
         """Installed sensors and wrappers of the card: `sensors.NAME: package version sha256`."""
-        found: dict[str, str] = {}
+        plugins: dict[str, str] = {}
         for spec in self.card.observations.values():
             named = [(SENSORS, spec.sensor)] if isinstance(spec, PluginObservation) else []
             named += [(WRAPPERS, w.wrapper) for w in spec.wrap if isinstance(w, PluginWrap)]
             for group, name in named:
                 if not is_code(name):
-                    found[key_of(group, name)] = identity_of(group, name)
-        return dict(sorted(found.items()))
+                    plugins[key_of(group, name)] = identity_of(group, name)
+        return dict(sorted(plugins.items()))
 
     @cached_property
     def joints(self) -> int:
@@ -311,11 +311,13 @@ def _orders(fields: Mapping[str, Any]) -> dict[str, list[str]]:
     One input takes the observations in their order. Of two patterns that mean one joint the value
     of the later one counts.
     """
-    found = {"observations": list(fields["observations"])}
+    orders = {"observations": list(fields["observations"])}
     for name, value in fields["control"].items():
         if isinstance(value, dict):
-            found[name] = [key for key in cast("dict[str, Any]", value) if re.search(r"[*?[]", key)]
-    return {name: keys for name, keys in found.items() if keys != sorted(keys)}
+            orders[name] = [
+                key for key in cast("dict[str, Any]", value) if re.search(r"[*?[]", key)
+            ]
+    return {name: keys for name, keys in orders.items() if keys != sorted(keys)}
 
 
 def _computed(bundle: Bundle) -> str:
@@ -613,11 +615,11 @@ def code_digest(folder: Path) -> str:
 
 def _python_files(root: Path) -> list[Path]:
     """Return all files that end in `.py`, and all links to folders, which are not entered."""
-    found: list[Path] = []
+    paths: list[Path] = []
     for folder, folders, files in os.walk(root, onerror=_raise):
-        found += [Path(folder, name) for name in files if name.endswith(".py")]
-        found += [path for name in folders if (path := Path(folder, name)).is_symlink()]
-    return sorted(found, key=lambda path: os.fsencode(path.relative_to(root).as_posix()))
+        paths += [Path(folder, name) for name in files if name.endswith(".py")]
+        paths += [path for name in folders if (path := Path(folder, name)).is_symlink()]
+    return sorted(paths, key=lambda path: os.fsencode(path.relative_to(root).as_posix()))
 
 
 def _raise(error: OSError) -> None:

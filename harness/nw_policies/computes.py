@@ -240,9 +240,9 @@ class _OnnxDigest:
         return _id(kind, of_function, tensors, graphs, floats, texts, whole)
 
     def _integers(self, message: ProtobufMessage, field: str) -> list[int]:
-        found = integers(message.get(field, []), self._typed)
-        self._typed -= len(found)
-        return found
+        values = integers(message.get(field, []), self._typed)
+        self._typed -= len(values)
+        return values
 
     def _tensor(self, tensor: ProtobufMessage) -> str:
         """Return the digest of type, shape and numbers, in whichever field they are written."""
@@ -294,7 +294,7 @@ def _members(archive: Archive) -> list[tuple[str, str]]:
     pickled = (
         _pickled(archive.read("data.pkl", at_most=_PICKLE), known) if "data.pkl" in names else b""
     )
-    found: list[tuple[str, str]] = []
+    members: list[tuple[str, str]] = []
     for name in names:
         data, place = archive.read(name), name
         if name == "data.pkl":
@@ -306,8 +306,8 @@ def _members(archive: Archive) -> list[tuple[str, str]]:
             ).encode()
         elif name.endswith(".json"):
             data = _without_traces(data)
-        found.append((place, sha256(data).hexdigest()))
-    return sorted(found)
+        members.append((place, sha256(data).hexdigest()))
+    return sorted(members)
 
 
 def _pickled(data: bytes, known: dict[str, str]) -> bytes:
@@ -384,10 +384,10 @@ def _tensors(data: bytes) -> list[tuple[str, object]]:
         raise ValueError("a header of another size than networks have")
     header: dict[str, dict[str, Any]] = json.loads(data[8:end])
     body = memoryview(data)[end:]
-    found: list[tuple[str, object]] = []
+    tensors: list[tuple[str, object]] = []
     for name, facts in header.items():
         if name != "__metadata__":
             start, stop = facts["data_offsets"]
             numbers = sha256(body[start:stop]).hexdigest()
-            found.append((name, [facts["dtype"], facts["shape"], numbers]))
-    return sorted(found, key=lambda tensor: tensor[0])
+            tensors.append((name, [facts["dtype"], facts["shape"], numbers]))
+    return sorted(tensors, key=lambda tensor: tensor[0])

@@ -77,10 +77,10 @@ class DrawingPolicy:
     def state(self) -> bytes:
         """Return the policy's state, and the generator's if it has drawn."""
         state = self.policy.state()
-        now = self._own if self._shares else _generator()
-        if now == self._first:
+        generator = self._own if self._shares else _generator()
+        if generator == self._first:
             return state
-        return _MARK + len(now).to_bytes(_SIZE, "little") + now + state
+        return _MARK + len(generator).to_bytes(_SIZE, "little") + generator + state
 
     def restore(self, state: bytes) -> None:
         """Go back to a `state`.

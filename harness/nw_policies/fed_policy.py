@@ -233,10 +233,10 @@ class Feeder:
         given = [observation[name] for name in self._taken] if self.is_function else []
         if self._gave and given and all(map(np.array_equal, self._given, given)):
             return self._gave
-        found = self.named(self.network.run(observation))
-        self.check(found)
-        self._given, self._gave = [array.copy() for array in given], found
-        return found
+        outputs = self.named(self.network.run(observation))
+        self.check(outputs)
+        self._given, self._gave = [array.copy() for array in given], outputs
+        return outputs
 
     def named(self, raw: tuple[Array, ...]) -> dict[str, Array]:
         """Return outputs of the file by the names under which others take them."""

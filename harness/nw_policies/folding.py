@@ -153,10 +153,10 @@ def newest_orbax(folder: Path) -> Path | None:
     if is_orbax(folder) and _has_arrays(folder):
         return folder
     for pattern in ("*", "*/*"):
-        found = [p for p in folder.glob(pattern) if what_is(p) == "folder" and is_orbax(p)]
-        found = [p for p in found if _has_arrays(p)]
-        if found:
-            return max(found, key=lambda p: (_step(p, folder), p.name))
+        folders = [p for p in folder.glob(pattern) if what_is(p) == "folder" and is_orbax(p)]
+        folders = [p for p in folders if _has_arrays(p)]
+        if folders:
+            return max(folders, key=lambda p: (_step(p, folder), p.name))
     return None
 
 

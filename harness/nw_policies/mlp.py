@@ -249,16 +249,16 @@ def _row(row: Row, tensors: Mapping[str, Tensor], size: int, where: str, key: st
             f"{where}: no tensor is called {row!r}",
             fix=f"correct `{key}`; {nearest(row, list(tensors))}",
         )
-    found = tensors[row] if isinstance(row, str) else torch.tensor(row)
-    found = found.expand(size) if found.numel() == 1 and key != "normaliser" else found
+    values = tensors[row] if isinstance(row, str) else torch.tensor(row)
+    values = values.expand(size) if values.numel() == 1 and key != "normaliser" else values
     said = repr(row) if isinstance(row, str) else f"`{key}`"
-    if found.numel() != size:
+    if values.numel() != size:
         layer = "the first layer takes" if key == "normaliser" else "the action has"
         raise PolicyError(
-            f"{where}: {said} has {found.numel()} numbers, {layer} {size}",
+            f"{where}: {said} has {values.numel()} numbers, {layer} {size}",
             fix=f"correct `{key}`: it is another network's",
         )
-    found = found.to(torch.float32).reshape(1, size)
-    if not bool(torch.isfinite(found).all()):
+    values = values.to(torch.float32).reshape(1, size)
+    if not bool(torch.isfinite(values).all()):
         raise PolicyError(f"{where}: {said} has NaN or infinite numbers", fix=f"correct `{key}`")
-    return found
+    return values

@@ -186,11 +186,11 @@ def _places(
     Raises:
         ValueError: an input has another size, or a type that Python must convert to.
     """
-    found: list[_Place] = []
+    places: list[_Place] = []
     for spec, names in networks[number].parts:
         first = 0
         for name in names:
-            found.append(_Place(number, spec.name, first, name))
+            places.append(_Place(number, spec.name, first, name))
             if name in givers:
                 giver, output = givers[name]
                 size, dtype = _program(networks[giver]).outputs[output].size, np.dtype(np.float32)
@@ -201,4 +201,4 @@ def _places(
             first += size
         if first != _program(networks[number]).inputs[spec.name].size:
             raise ValueError(f"{first} numbers for {spec.name!r}")
-    return found
+    return places

@@ -152,9 +152,9 @@ class OnnxNetwork:
             TrialError: the state belongs to another policy.
         """
         with unpacked(state, self._name) as arrays:
-            found = {name: (array.shape, array.dtype) for name, array in arrays.items()}
-            if found != {name: (array.shape, array.dtype) for name, array in self._memory.items()}:
-                raise unfitting(self._name, f"it has {found}")
+            forms = {name: (array.shape, array.dtype) for name, array in arrays.items()}
+            if forms != {name: (array.shape, array.dtype) for name, array in self._memory.items()}:
+                raise unfitting(self._name, f"it has {forms}")
             self._remember(arrays)
 
     def _remember(self, memory: Arrays) -> None:

@@ -84,7 +84,7 @@ def read_planned(data: bytes) -> dict[str, PlannedFile]:
 
 def _read(arrays: Arrays) -> dict[str, PlannedFile]:
     told = json.loads(arrays["told"].tobytes())
-    found: dict[str, PlannedFile] = {}
+    files: dict[str, PlannedFile] = {}
     for number, (name, one) in enumerate(told.items()):
         every = [int(each) for each in one["every"]]
         if len(every) > _PARTS or not all(1 <= each <= _EVERY for each in every):
@@ -93,12 +93,12 @@ def _read(arrays: Arrays) -> dict[str, PlannedFile]:
             Program.unpacked(arrays[f"{number} program {index}"].tobytes())
             for index in range(len(every))
         ]
-        found[str(name)] = PlannedFile(
+        files[str(name)] = PlannedFile(
             inputs=read_specs(one["inputs"]),
             parts=tuple(zip(every, programs, strict=True)),
             first={str(key): arrays[f"{number} first {key}"] for key in one["first"]},
         )
-    return found
+    return files
 
 
 def listed(specs: tuple[InputSpec, ...]) -> list[dict[str, Any]]:
@@ -214,9 +214,9 @@ class PlannedNetwork:
             return
         with unpacked(state, self._name) as arrays:
             step = int(arrays.pop("step"))
-            found = {name: array.shape for name, array in arrays.items()}
-            if found != {name: array.shape for name, array in self._first.items()}:
-                raise unfitting(self._name, f"it has {found}")
+            shapes = {name: array.shape for name, array in arrays.items()}
+            if shapes != {name: array.shape for name, array in self._first.items()}:
+                raise unfitting(self._name, f"it has {shapes}")
             self._memory, self._step = arrays, step
 
     def close(self) -> None:

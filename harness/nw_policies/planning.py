@@ -43,14 +43,14 @@ def plan_policy(policy: Any, shown: Observation) -> dict[str, PlannedFile]:
     """
     arrays = dict(shown)
     own = policy.policy if isinstance(policy, DrawingPolicy) else policy
-    found: dict[str, PlannedFile] = {}
+    files: dict[str, PlannedFile] = {}
     if isinstance(own, FedPolicy):
         for feeder in own.feeders:
-            found[feeder.name] = _planned(feeder.network, arrays)
+            files[feeder.name] = _planned(feeder.network, arrays)
             arrays |= feeder.named(feeder.network.run(arrays))
         own = own.policy
-    found[""] = _planned(own, arrays)
-    return found
+    files[""] = _planned(own, arrays)
+    return files
 
 
 def _planned(network: Any, shown: Observation) -> PlannedFile:

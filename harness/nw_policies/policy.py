@@ -106,11 +106,11 @@ def unpacked(state: bytes, policy: str) -> Generator[Arrays]:
         arrays = unpack(state)
     except ValueError as error:
         raise unfitting(policy, str(error)) from None
-    found = {name: (array.shape, array.dtype) for name, array in arrays.items()}
+    forms = {name: (array.shape, array.dtype) for name, array in arrays.items()}
     try:
         yield arrays
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise unfitting(policy, f"{error!r}, it has {found}") from None
+        raise unfitting(policy, f"{error!r}, it has {forms}") from None
 
 
 def unfitting(policy: str, reason: str) -> TrialError:

@@ -111,8 +111,8 @@ class TorchNetwork:
 
         def run() -> dict[str, Tensor]:
             outputs = self.outputs(given)
-            found = {f"output {index}": tensor for index, tensor in enumerate(outputs)}
-            return found | self.memory()
+            named = {f"output {index}": tensor for index, tensor in enumerate(outputs)}
+            return named | self.memory()
 
         kept = {name: tensor.numpy().copy() for name, tensor in first.items()}
         try:

@@ -144,14 +144,14 @@ class TorchScriptNetwork:
         def run() -> dict[str, Any]:
             raw = self._module.forward(*arguments)
             outputs = raw if isinstance(raw, tuple | list) else [raw]
-            found = {f"output {k}": outputs[place] for k, place in enumerate(self._places)}
-            found |= {_KEPT + name: outputs[one.output] for name, one in self._fed.items()}
+            named = {f"output {k}": outputs[place] for k, place in enumerate(self._places)}
+            named |= {_KEPT + name: outputs[one.output] for name, one in self._fed.items()}
             for key, value in attributes().items():
                 if isinstance(value, torch.Tensor):
-                    found[key] = value
+                    named[key] = value
                 elif value != before[key]:
                     raise UnsupportedError(f"`{key}`, a {type(value).__name__} that changes")
-            return found
+            return named
 
         tensors = {key: x for key, x in before.items() if isinstance(x, torch.Tensor)}
         memory = tensors | {_KEPT + name: tensor for name, tensor in fed.items()}
@@ -188,9 +188,9 @@ class TorchScriptNetwork:
         """Return the state where it differs from the file's, as bytes."""
         if self._module is None:
             return b""
-        now = read_state(self._module, self._slots) | self._memory
+        values = read_state(self._module, self._slots) | self._memory
         return pack(
-            {path: array for path, array in now.items() if not same(array, self._first[path])}
+            {path: array for path, array in values.items() if not same(array, self._first[path])}
         )
 
     def restore(self, state: bytes) -> None:

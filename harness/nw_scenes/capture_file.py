@@ -94,10 +94,10 @@ def first_problem(error: Exception) -> str:
         return str(error)
     first = error.errors(include_url=False)[0]
     place = ".".join(str(part) for part in first["loc"]) or "it"
-    found = f"{clean(place, at_most=80)}: {clean(first['msg'], at_most=200)}"
+    problem = f"{clean(place, at_most=80)}: {clean(first['msg'], at_most=200)}"
     if isinstance(first["input"], dict):
-        return found
-    return f"{found} (it is {clean(repr(first['input']), at_most=60)})"
+        return problem
+    return f"{problem} (it is {clean(repr(first['input']), at_most=60)})"
 
 
 def write_captures(path: Path, cameras: Sequence[CameraPose]) -> None:

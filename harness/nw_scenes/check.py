@@ -188,9 +188,9 @@ def room_of(triangles: Values, up: Values) -> Room | None:
 
 def _spawn(scene: Scene, rays: RayScene) -> list[SceneFinding]:
     x, y, z = scene.spawn.position
-    here = np.array([[x, y]])
+    point = np.array([[x, y]])
     roof = float(_under_roofs(scene, rays, np.array([[x, y, z]]))[0])
-    floor = float(_heights(scene, rays, here, roof)[0])
+    floor = float(_heights(scene, rays, point, roof)[0])
     place = (x, y, z)
     if _looks_down(scene, rays, x, y, z):
         return [
@@ -229,24 +229,24 @@ def _spawn(scene: Scene, rays: RayScene) -> list[SceneFinding]:
     sides = [np.linspace(-half, half, 1 + round(2 * half / 0.01)) for half in _BODY]
     body = np.stack(np.meshgrid(*sides), -1).reshape(-1, 2)
     c, s = np.cos(scene.spawn.yaw), np.sin(scene.spawn.yaw)
-    points = here + body @ np.array([[c, s], [-s, c]])
+    points = point + body @ np.array([[c, s], [-s, c]])
     roofs = _under_roofs(scene, rays, np.column_stack([points, np.full(len(points), z)]))
     under = _heights(scene, rays, points, roofs)
     highest = float(np.max(under))
     steps = np.linspace(-_ROUND, _ROUND, 17)
-    nearby = here + np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+    nearby = point + np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
     ground = _heights(scene, rays, nearby, roof)
     usual = float(np.median(ground[np.isfinite(ground)]))
     # A narrow block may stand on lower ground: where it is level under the robot, it carries it.
     level = max(usual, min(z, float(np.min(under))))
     inside = _in_a_box(scene, points, max(z, usual))
     if highest > level + _CLEARANCE or inside:
-        found = inside or f"something {highest - level:.2f} m high"
+        obstacle = inside or f"something {highest - level:.2f} m high"
         findings.append(
             SceneFinding(
                 code="spawn_blocked",
                 severity="error",
-                message=f"{found} is where the robot starts, at ({x:.2f}, {y:.2f})",
+                message=f"{obstacle} is where the robot starts, at ({x:.2f}, {y:.2f})",
                 fix="move one of them" if "prop" in inside else "move the spawn or the scene",
                 value=highest,
                 place=place,
@@ -288,8 +288,8 @@ def _waypoints(scene: Scene, rays: RayScene) -> list[SceneFinding]:
     roofs = _under_roofs(scene, rays, scene.trail)
     heights = _heights(scene, rays, scene.trail[:, :2], roofs)
     rows = enumerate(zip(scene.trail.tolist(), heights.tolist(), strict=True))
-    found = starmap(lambda index, row: _waypoint(index, row[0], row[1]), rows)
-    return [finding for finding in found if finding is not None]
+    findings = starmap(lambda index, row: _waypoint(index, row[0], row[1]), rows)
+    return [finding for finding in findings if finding is not None]
 
 
 def _waypoint(index: int, point: list[float], ground: float) -> SceneFinding | None:
@@ -345,15 +345,15 @@ def _splat(scene: Scene) -> list[SceneFinding]:
         float(((points > low) & (points < high)).all(axis=1).mean())
         for points in (world, _on_surface(mesh))
     )
-    found = [
+    findings = [
         SceneFinding(code="splat_partly_read", severity="note", message=f"splat: {note}")
         for note in notes
     ]
     if share >= min(_LEAST_INSIDE, _LEAST_OF_MESH * of_mesh):
-        return found
+        return findings
     middle = np.median(world, axis=0).round(2).tolist()
     return [
-        *found,
+        *findings,
         SceneFinding(
             code="splat_elsewhere",
             severity="error",

@@ -145,15 +145,15 @@ def _check_whole(path: Path) -> None:
     for x, y, dx, dy in _PASSES if interlaced else ((0, 0, 1, 1),):
         across, down = -(-(columns - x) // dx), -(-(rows - y) // dy)
         wanted += down * (1 + -(-across * bits // 8)) if across > 0 and down > 0 else 0
-    inflater, found, at = zlib.decompressobj(), 0, 8
-    while at + 12 <= len(content) and found < wanted:
+    inflater, size, at = zlib.decompressobj(), 0, 8
+    while at + 12 <= len(content) and size < wanted:
         length, kind = struct.unpack(">I4s", content[at : at + 8])
         if kind == b"IDAT":
-            found += len(inflater.decompress(content[at + 8 : at + 8 + length], wanted - found))
+            size += len(inflater.decompress(content[at + 8 : at + 8 + length], wanted - size))
         at += 12 + length
-    if found < wanted:
+    if size < wanted:
         raise SceneError(
-            f"{path}: the picture is cut short: {found / wanted:.0%} of its rows are there",
+            f"{path}: the picture is cut short: {size / wanted:.0%} of its rows are there",
             fix="export it again",
         )
 
@@ -292,7 +292,7 @@ def _band(path: Path, tags: Any) -> tuple[float, float, int | None]:
         SceneError: one of them cannot be used.
     """
     text = str(tags.get(_METADATA, "")).strip("\0 ")
-    found: dict[str, str] = {}
+    items: dict[str, str] = {}
     if text and len(text) <= _LONGEST and "<!" not in text:
         for item in fromstring(text).iter("Item"):  # noqa: S314 - It has no entities.
             if item.get("sample", "0") == "0" and item.get("role") in {
@@ -300,21 +300,21 @@ def _band(path: Path, tags: Any) -> tuple[float, float, int | None]:
                 "offset",
                 "unittype",
             }:
-                found[str(item.get("role"))] = (item.text or "").strip()
+                items[str(item.get("role"))] = (item.text or "").strip()
     elif text:
         raise SceneError(f"{path}: its metadata (tag 42112) are damaged", fix="export it again")
     numbers: list[float] = []
     for role, usual in (("scale", 1.0), ("offset", 0.0)):
         try:
-            numbers.append(float(found.get(role, usual)))
+            numbers.append(float(items.get(role, usual)))
         except ValueError:
             numbers.append(math.nan)
         if not math.isfinite(numbers[-1]) or (role == "scale" and not numbers[-1]):
             raise SceneError(
-                f"{path}: the {role} of its heights cannot be {clean(found[role], at_most=20)!r}",
+                f"{path}: the {role} of its heights cannot be {clean(items[role], at_most=20)!r}",
                 fix="export it again",
             )
-    unit = found.get("unittype") or None
+    unit = items.get("unittype") or None
     if unit is not None and unit.lower() not in _NAMED_UNITS:
         raise SceneError(
             f"{path}: the unit of its heights, {clean(unit, at_most=40)!r}, is not known here",
@@ -407,21 +407,21 @@ def _cell_of(path: Path, tags: Any, unit: float) -> tuple[float, float] | None:
     return x, y
 
 
-def elevation_mesh(found: ElevationMap) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def elevation_mesh(elevation: ElevationMap) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return vertices (V, 3), metres, and faces (F, 3) that look up, of an elevation map.
 
     A vertex lies at the middle of each pixel: x goes with the columns, y against the rows, and the
     lower left pixel is at (0, 0). A square without all four heights has no faces, or one of three.
     """
-    rows, columns = found.heights.shape
-    x = np.arange(columns) * found.cell[0]
-    y = np.arange(rows)[::-1] * found.cell[1]
-    grid = np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), found.heights], axis=-1)
+    rows, columns = elevation.heights.shape
+    x = np.arange(columns) * elevation.cell[0]
+    y = np.arange(rows)[::-1] * elevation.cell[1]
+    grid = np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), elevation.heights], axis=-1)
     number = np.arange(rows * columns).reshape(rows, columns)
     upper_left, upper_right = number[:-1, :-1].ravel(), number[:-1, 1:].ravel()
     left, right = number[1:, :-1].ravel(), number[1:, 1:].ravel()
-    known = np.isfinite(found.heights).ravel()
-    z = found.heights.ravel()
+    known = np.isfinite(elevation.heights).ravel()
+    z = elevation.heights.ravel()
     # The square is divided along the diagonal that bends less.
     rising = np.abs(z[left] - z[upper_right]) <= np.abs(z[upper_left] - z[right])
     rising |= ~(known[upper_left] & known[right])

@@ -282,8 +282,8 @@ class FileSplat:
     def _key(self) -> str:
         from nw_splat.files import digest_of_files
 
-        found = digest_of_files(self.path)
-        return found if self.rasterize_mode is None else f"{found}:{self.rasterize_mode}"
+        digest = digest_of_files(self.path)
+        return digest if self.rasterize_mode is None else f"{digest}:{self.rasterize_mode}"
 
     def store(self, progress: Progress | None = None) -> Path:
         """Return the compiled store in the cache."""
@@ -397,10 +397,10 @@ def _props(folder: Path, file: YamlFile, text: _SceneFile) -> tuple[Prop, ...]:
     Raises:
         SceneError: two have one name, or a file is missing or wrong.
     """
-    found: list[Prop] = []
+    props: list[Prop] = []
     for number, prop in enumerate(text.props):
         where = ("props", number)
-        if prop.name in {other.name for other in found}:
+        if prop.name in {other.name for other in props}:
             raise SceneError(
                 [
                     file.problem(
@@ -423,7 +423,7 @@ def _props(folder: Path, file: YamlFile, text: _SceneFile) -> tuple[Prop, ...]:
                 message = f"there is no splat {prop.splat!r} beside it"
                 problem = file.problem((*where, "splat"), message, "check the key `splat`")
                 raise SceneError([problem])
-        found.append(
+        props.append(
             Prop(
                 name=prop.name,
                 position=prop.position,
@@ -439,7 +439,7 @@ def _props(folder: Path, file: YamlFile, text: _SceneFile) -> tuple[Prop, ...]:
                 T_prop_splat=prop.T_prop_splat.matrix(),
             )
         )
-    return tuple(found)
+    return tuple(props)
 
 
 def _unscaled(folder: Path, text: _SceneFile) -> tuple[SceneFinding, ...]:

@@ -197,7 +197,7 @@ _UNIT = re.compile(
 def _unit_of(path: Path) -> str | None:
     """Return the unit that the head of an OBJ, PLY or STL names, such as `# units: mm`."""
     with path.open("rb") as file:
-        found = {one.lower() for one in _UNIT.findall(file.read(4096))}
+        units = {one.lower() for one in _UNIT.findall(file.read(4096))}
     short = {
         b"milli": "mm",
         b"centi": "cm",
@@ -208,7 +208,7 @@ def _unit_of(path: Path) -> str | None:
     }
     named = {
         next((unit for begin, unit in short.items() if one.startswith(begin)), one.decode())
-        for one in found
+        for one in units
     }
     return named.pop() if len(named) == 1 else None
 
@@ -385,23 +385,23 @@ def _read_ply(path: Path, remarks: Remarks) -> Arrays:
     remarks.unread += ply.unread_comments(_PLY_SAID)
     for element in _PLY_SURFACES:
         lists = ply.lists.get(element, {})
-        found = lists.get("vertex_indices") or lists.get("vertex_index")
-        if found is None:
+        polygons = lists.get("vertex_indices") or lists.get("vertex_index")
+        if polygons is None:
             if len(ply.elements.get(element, ())):
                 raise SceneError(f"{path}: element {element} has no list vertex_indices", fix=AGAIN)
             continue
-        corners = found.values.astype(np.int64)
+        corners = polygons.values.astype(np.int64)
         if element == "tristrips":
-            faces.append(strips(corners, found.counts))
+            faces.append(strips(corners, polygons.counts))
             looks.add(faces[-1])
             remarks.unread += ply.remarks(element, {*_PLY_CORNERS, *looks.used}, _PLY_SILENT)
             continue
-        narrow = found.counts < 3
+        narrow = polygons.counts < 3
         if narrow.any():
             remarks.dropped["faces of fewer than three vertices"] += int(narrow.sum())
-            corners = corners[np.repeat(~narrow, found.counts)]
-        faces.append(cut_faces(path, vertices, found.counts[~narrow], corners))
-        looks.add(faces[-1], is_whole=bool((found.counts == 3).all()))
+            corners = corners[np.repeat(~narrow, polygons.counts)]
+        faces.append(cut_faces(path, vertices, polygons.counts[~narrow], corners))
+        looks.add(faces[-1], is_whole=bool((polygons.counts == 3).all()))
         remarks.unread += ply.remarks(element, {*_PLY_CORNERS, *looks.used}, _PLY_SILENT)
     return vertices, np.concatenate(faces)
 

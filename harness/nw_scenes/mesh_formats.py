@@ -110,17 +110,17 @@ class _Glb:
 
     def _second(self, data: bytes, at: int, whole: int) -> bytes:
         """Return the bytes of the file's second part; others are passed over, and remarked."""
-        found = b""
+        chunk = b""
         while at + 8 <= whole:
             size, kind = struct.unpack_from("<I4s", data, at)
-            if kind == b"BIN\0" and not found:
-                found = data[at + 8 : min(at + 8 + size, whole)]
+            if kind == b"BIN\0" and not chunk:
+                chunk = data[at + 8 : min(at + 8 + size, whole)]
             else:
                 self.remarks.unread.append(
                     f"a part {clean(repr(kind), at_most=20)} of {size} bytes"
                 )
             at += 8 + size
-        return found
+        return chunk
 
     def _account(self, met: set[int]) -> None:
         """Remark what of the file is not read: nodes, by number, stand in the scene."""
@@ -309,18 +309,18 @@ class _Glb:
                     f"of {len(buffer)}",
                     fix=CUT_SHORT,
                 )
-            found = buffer[first : first + min(length, TEXTURE_BYTES + 1)]
+            picture = buffer[first : first + min(length, TEXTURE_BYTES + 1)]
         else:
-            found = self._buffer(str(image["uri"]), b"")
-        whole = len(found) + sum(map(len, self.pictures.values()))
-        if len(found) > TEXTURE_BYTES or len(self.pictures) >= TEXTURES or whole > self.size:
+            picture = self._buffer(str(image["uri"]), b"")
+        whole = len(picture) + sum(map(len, self.pictures.values()))
+        if len(picture) > TEXTURE_BYTES or len(self.pictures) >= TEXTURES or whole > self.size:
             raise SceneError(
                 f"{self.path}: over {TEXTURES} textures, one over {TEXTURE_BYTES // 10**6} MB, or "
                 "all larger than the file",
                 fix="join them into an atlas, or make them smaller",
             )
-        self.pictures[source] = found
-        return found
+        self.pictures[source] = picture
+        return picture
 
     def _accessor(self, number: int, shape: str) -> NDArray[np.float64]:
         """(rows, columns) numbers of an accessor."""
@@ -455,12 +455,12 @@ class _ObjLooks:
         self.coordinates: list[str] = []
         self.libraries: list[str] = []
         self.names: dict[str, int] = {"": 0}
-        self.now = 0
+        self.material = 0
         self.of_face: list[int] = []
         self.above: list[int] = []  # Texture coordinates that stand above each face.
 
     def face(self) -> None:
-        self.of_face.append(self.now)
+        self.of_face.append(self.material)
         self.above.append(len(self.coordinates))
 
     def line(self, kind: str, rest: str) -> None:
@@ -469,7 +469,7 @@ class _ObjLooks:
         elif kind == "mtllib":
             self.libraries.append(rest.strip())
         else:
-            self.now = self.names.setdefault(rest.strip(), len(self.names))
+            self.material = self.names.setdefault(rest.strip(), len(self.names))
 
     def paint(
         self,
@@ -522,16 +522,16 @@ class _ObjLooks:
         if len(words) != count:
             return None
         numbers = [word[1] if len(word) > 1 and word[1] else "0" for word in words]
-        found = fast_numbers(numbers, np.int64)
+        indices = fast_numbers(numbers, np.int64)
         values = [line.split()[:2] for line in self.coordinates]
         flat = fast_numbers(
             [" ".join(one if len(one) == 2 else [*one, "0"]) for one in values], np.float64
         )
-        if found is None or len(found) != count or flat is None or len(flat) != 2 * len(values):
+        if indices is None or len(indices) != count or flat is None or len(flat) != 2 * len(values):
             raise SceneError(f"{path}: a `vt` or a corner's second number is invalid", fix=AGAIN)
         above = np.array(self.above, dtype=np.int64)[face_of]
-        index = np.where(found < 0, above + found, found - 1)
-        known = (found != 0) & (index >= 0) & (index < len(values))
+        index = np.where(indices < 0, above + indices, indices - 1)
+        known = (indices != 0) & (index >= 0) & (index < len(values))
         table = np.vstack([flat.reshape(-1, 2), [[np.nan, np.nan]]])
         places = table[np.where(known, index, len(values))]
         return (np.array([0.0, 1.0]) + np.array([1.0, -1.0]) * places)[cut].astype(np.float32)
@@ -540,13 +540,13 @@ class _ObjLooks:
 def _materials(path: Path, library: str, remarks: Remarks) -> dict[str, Material]:
     """Return the materials of an MTL file in the folder of an OBJ, by name."""
     content = bytes_beside(path, library, remarks)
-    found: dict[str, Material] = {}
+    materials: dict[str, Material] = {}
     name, factor, picture = "", (1.0, 1.0, 1.0), ""
 
     def keep() -> None:
         texture = bytes_beside(path, picture, remarks) if picture else None
         # Many exporters write a grey Kd that they themselves do not multiply textures by.
-        found[name] = Material(
+        materials[name] = Material(
             factor=(1.0, 1.0, 1.0) if texture is not None else factor, texture=texture
         )
 
@@ -557,7 +557,7 @@ def _materials(path: Path, library: str, remarks: Remarks) -> dict[str, Material
         if word == "newmtl":
             keep()
             name, factor, picture = rest.strip(), (1.0, 1.0, 1.0), ""
-            if len(found) > TEXTURES:
+            if len(materials) > TEXTURES:
                 raise SceneError(
                     f"{path}: over {TEXTURES} materials in {clean(library, at_most=60)!r}",
                     fix="join their textures into an atlas",
@@ -575,7 +575,7 @@ def _materials(path: Path, library: str, remarks: Remarks) -> dict[str, Material
     if left := [one for one in dict.fromkeys(lines) if not _MTL_READ.fullmatch(one)]:
         words = clean("; ".join(left), at_most=200)
         remarks.unread.append(f"of {clean(library, at_most=60)}: {words}")
-    return found
+    return materials
 
 
 def _obj_lines(data: bytes) -> Iterator[tuple[int, str]]:
@@ -608,7 +608,7 @@ def _vertex_numbers(path: Path, rows: list[str], lines: list[int], count: int) -
     values = fast_numbers(bare, np.int64)
     if values is not None and len(values) == count:
         return values
-    found: list[int] = []
+    numbers: list[int] = []
     for row, number in zip(bare, lines, strict=True):
         for word in row.split():
             if re.fullmatch(r"[+-]?[0-9]{1,15}", word) is None:
@@ -616,7 +616,7 @@ def _vertex_numbers(path: Path, rows: list[str], lines: list[int], count: int) -
                     f"{path}:{number}: {clean(word, at_most=40)!r} is not a number of a vertex",
                     fix=AGAIN,
                 )
-            found.append(int(word))
-    if len(found) != count:  # A word that begins with a slash.
+            numbers.append(int(word))
+    if len(numbers) != count:  # A word that begins with a slash.
         raise SceneError(f"{path}: a face has a corner without a vertex", fix=AGAIN)
-    return np.array(found, dtype=np.int64)
+    return np.array(numbers, dtype=np.int64)

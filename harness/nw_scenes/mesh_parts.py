@@ -240,9 +240,9 @@ class Remarks:
 
     def findings(self) -> tuple[SceneFinding, ...]:
         """Return a finding for each kind of remark."""
-        found: list[SceneFinding] = []
+        findings: list[SceneFinding] = []
         if self.turned:
-            found.append(
+            findings.append(
                 SceneFinding(
                     code="mesh_turned",
                     severity="note",
@@ -255,7 +255,7 @@ class Remarks:
                 )
             )
         if self.dropped:
-            found.append(
+            findings.append(
                 SceneFinding(
                     code="mesh_partly_read",
                     severity="note",
@@ -264,7 +264,7 @@ class Remarks:
                 )
             )
         if self.unread:
-            found.append(
+            findings.append(
                 SceneFinding(
                     code="mesh_partly_read",
                     severity="note",
@@ -272,7 +272,7 @@ class Remarks:
                     fix="nothing, unless the surface or its colours depend on it",
                 )
             )
-        return tuple(found)
+        return tuple(findings)
 
 
 def check_count(origin: object, count: int) -> None:
@@ -349,9 +349,9 @@ def numbers_of(path: Path, rows: list[str], lines: list[int], what: str) -> NDAr
             return np.ascontiguousarray(values.reshape(-1, wide)[:, :3])
     out = np.empty((len(rows), 3))
     for i, row in enumerate(rows):
-        found = fast_numbers([row], np.float64)
-        if found is not None and len(found) >= 3:
-            out[i] = found[:3]
+        parsed = fast_numbers([row], np.float64)
+        if parsed is not None and len(parsed) >= 3:
+            out[i] = parsed[:3]
         else:
             raise SceneError(
                 f"{path}:{lines[i]}: `{what}` is not followed by three numbers: "

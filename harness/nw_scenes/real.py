@@ -124,10 +124,10 @@ def kept_scan(reference: str) -> Fetched:
         SceneError: there is no such scene, or it has not been fetched.
     """
     scan = scan_of(reference)
-    found = kept(_place_of(reference, scan), scan.commit)
-    if found is None:
+    fetched = kept(_place_of(reference, scan), scan.commit)
+    if fetched is None:
         raise SceneError(f"{reference} is not here", fix=f"nw-eval scenes fetch {reference}")
-    return found
+    return fetched
 
 
 def fetched_scan(
@@ -147,11 +147,11 @@ def fetched_scan(
         StoreError: it cannot be kept.
     """
     name, place = reference.removeprefix(REAL), _place_of(reference, scan)
-    found = kept(place, scan.commit)
-    if found is not None:
+    fetched = kept(place, scan.commit)
+    if fetched is not None:
         if file is not None:
             _check_known(reference, scan, sha256(_given(file, scan)).hexdigest(), str(file))
-        return found
+        return fetched
     origin = scan.address if address is None else address
 
     def fill(folder: Path) -> list[str]:
@@ -160,8 +160,8 @@ def fetched_scan(
             _downloaded(reference, scan, origin) if file is None else _given(file, scan)
         )
         _check_known(reference, scan, digest_of(source), str(file or origin))
-        found = read_elevation(source, cell=scan.cell, white=scan.white, black=scan.black)
-        vertices, faces = elevation_mesh(found)
+        elevation = read_elevation(source, cell=scan.cell, white=scan.white, black=scan.black)
+        vertices, faces = elevation_mesh(elevation)
         (folder / "collision.ply").write_bytes(_ply(vertices, faces))
         (folder / "scene.yaml").write_text(
             f"# {scan.path}\n# of {scan.repository}, commit {scan.commit}.\n"

@@ -103,7 +103,7 @@ class Surface:
         count = len(xy)
         heights = np.full((_MOST_HITS, count), np.nan)
         enters = np.zeros((_MOST_HITS, count), dtype=np.bool_)
-        found = np.zeros(count, dtype=np.int64)
+        hits = np.zeros(count, dtype=np.int64)
         lines = np.arange(count)
         start = np.full(count, self._top)
         down = np.broadcast_to(np.array([0.0, 0.0, -1.0]), (count, 3))
@@ -120,12 +120,12 @@ class Surface:
             # Rays graze vertical faces by rounding; they are neither entered nor left.
             z = np.clip(np.where(flat, z, start[lines]), self._low[face], self._high[face])
             z = np.minimum(z, start[lines])
-            kept = flat & (found[lines] < _MOST_HITS)
-            heights[found[lines[kept]], lines[kept]] = z[kept]
-            enters[found[lines[kept]], lines[kept]] = normal[kept, 2] > 0
-            found[lines[kept]] += 1
+            kept = flat & (hits[lines] < _MOST_HITS)
+            heights[hits[lines[kept]], lines[kept]] = z[kept]
+            enters[hits[lines[kept]], lines[kept]] = normal[kept, 2] > 0
+            hits[lines[kept]] += 1
             start[lines] = z - _BELOW
-            lines = lines[found[lines] < _MOST_HITS]
+            lines = lines[hits[lines] < _MOST_HITS]
         return heights, enters
 
 

@@ -103,9 +103,9 @@ class Axis:
     @property
     def reference(self) -> float:
         """The value that others are compared with: the neutral one, or `nominal`."""
-        found = self.nominal if self.neutral is None else self.neutral
-        assert found is not None, "an axis has one of the two"
-        return found
+        value = self.nominal if self.neutral is None else self.neutral
+        assert value is not None, "an axis has one of the two"
+        return value
 
     @property
     def label(self) -> str:
@@ -294,13 +294,13 @@ def is_axis(name: str) -> bool:
 
 def usable_axes() -> dict[str, Axis]:
     """Return all axes that can be used, by name; one whose package is broken is warned of."""
-    found = dict(AXES)
+    axes = dict(AXES)
     for name in axis_names():
         try:
-            found[name] = axis_named(name)
+            axes[name] = axis_named(name)
         except PluginError as error:
             warn(str(error))
-    return found
+    return axes
 
 
 def axis_named(name: str) -> Axis:
@@ -379,7 +379,7 @@ class _Grid(BaseModel):
         try:
             grid = read(value)
         except ValidationError as error:
-            wrong = [*map(_again, error.errors()), *wrong]
+            wrong = [*map(_as_init_error, error.errors()), *wrong]
         else:
             if not wrong:
                 return grid
@@ -421,14 +421,14 @@ def _faults_of(name: Any, values: Any, *, is_saved: bool) -> Iterator[InitErrorD
         )
     except ValidationError as error:
         for detail in error.errors():
-            yield _again({**detail, "loc": (name, *detail["loc"])})
+            yield _as_init_error({**detail, "loc": (name, *detail["loc"])})
 
 
 def _adapter(axis: Axis) -> TypeAdapter[Any]:
     return TypeAdapter(_values_of(axis.value_type), config=_NUMBERS)
 
 
-def _again(detail: ErrorDetails) -> InitErrorDetails:
+def _as_init_error(detail: ErrorDetails) -> InitErrorDetails:
     """Return an error of pydantic's as it takes it."""
     return InitErrorDetails(
         type=detail["type"],
@@ -487,9 +487,9 @@ class SweptAxis:
             fix = nearest(name, axis_names())
             raise UsageError(f"--axis {text!r}: there is no axis {name!r}", fix=fix)
         axis = axis_named(name)
-        found = _RANGE.fullmatch(span)
-        if found is not None:
-            values = _between(float(found[1]), float(found[2]), int(found[3] or STEPS), text)
+        match = _RANGE.fullmatch(span)
+        if match is not None:
+            values = _between(float(match[1]), float(match[2]), int(match[3] or STEPS), text)
         elif equals and _LIST.fullmatch(span):
             values = [float(value) for value in span.split(",")]
         else:

@@ -148,13 +148,13 @@ def ladder_named(name: str, base: Path | None = None) -> Ladder:
         return _of_folder(name, load_ladder(folder))
     scene, plus, changed = name.rpartition("+")
     if plus and (changed in _COMMANDS or is_axis(changed)):
-        found = references([scene], base)
-        if len(found) != 1:
-            message = f"ladder {name!r} is on {len(found)} scenes"
+        scenes = references([scene], base)
+        if len(scenes) != 1:
+            message = f"ladder {name!r} is on {len(scenes)} scenes"
             raise SceneError(message, fix="name one scene before the +")
         if changed in _COMMANDS:
-            return _of_command(found[0][0], changed)
-        return _of_axis(found[0][0], axis_named(changed))
+            return _of_command(scenes[0][0], changed)
+        return _of_axis(scenes[0][0], axis_named(changed))
     known = [*FAMILIES, *installed(LADDERS), *(f"{FIXED}+{axis}" for axis in _AXES)]
     raise SceneError(
         f"there is no ladder {name!r}",
@@ -168,9 +168,9 @@ def _of_family(family: Family, number: int | None) -> Ladder:
     return _ladder(name, family.title, family.parameter, family.unit, rungs, any_value=True)
 
 
-def _of_folder(name: str, found: FolderLadder) -> Ladder:
-    rungs = [Rung(value=value, scene=str(folder)) for value, folder in found.rungs]
-    return _ladder(name, found.title, found.parameter, found.unit, rungs)
+def _of_folder(name: str, ladder: FolderLadder) -> Ladder:
+    rungs = [Rung(value=value, scene=str(folder)) for value, folder in ladder.rungs]
+    return _ladder(name, ladder.title, ladder.parameter, ladder.unit, rungs)
 
 
 def _of_axis(scene: str, axis: Axis) -> Ladder:

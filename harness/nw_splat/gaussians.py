@@ -224,20 +224,20 @@ _LARGE, _FEW = 0.1, 50
 
 def _doubts(width: float, size: float, centres: F32, logits: F32) -> list[str]:
     """Return what speaks against a file's numbers being what its format says."""
-    found: list[str] = []
+    doubts: list[str] = []
     kept = float(np.spacing(np.abs(centres).max()))
     if size > 0.0 and kept > size:
-        found.append(
+        doubts.append(
             f"centres are known to {kept:.2g} only, so far are they from the origin; the median "
             f"size is {size:.2g}: subtract their middle before they are written as float32"
         )
     if len(logits) >= _FEW and size > _LARGE * width:
-        found.append(
+        doubts.append(
             f"the median size is {size / width:.0%} of the whole: are scales natural logarithms?"
         )
     if len(logits) >= _FEW and logits.min() >= 0.0 and 0.0 < logits.max() <= 1.0:
-        found.append("all stored opacities are from 0 to 1: are they logits?")
-    return found
+        doubts.append("all stored opacities are from 0 to 1: are they logits?")
+    return doubts
 
 
 def _point(values: np.ndarray) -> tuple[float, ...]:
@@ -312,13 +312,13 @@ def rotate_harmonics(sh: NDArray[np.float32], rotation: NDArray[np.float64]) -> 
     out = sh.copy()
     directions = np.random.default_rng(1).normal(size=(64, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    here, there = harmonics(directions), harmonics(directions @ rotation)
+    original, there = harmonics(directions), harmonics(directions @ rotation)
     for degree in (1, 2, 3):
         first = _FIRST[degree]
         part = slice(first, first + 2 * degree + 1)
         if first >= sh.shape[1]:
             break
-        matrix = np.linalg.lstsq(here[:, part], there[:, part], rcond=None)[0]
+        matrix = np.linalg.lstsq(original[:, part], there[:, part], rcond=None)[0]
         out[:, part] = np.einsum("ij,njc->nic", matrix.astype(np.float32), sh[:, part])
     return out
 

@@ -397,8 +397,8 @@ def features_of(profile: GroundProfile, stretches: Sequence[Stretch]) -> list[Co
         if not any(b.start < feature.stands[0] < b.end for b in boards)
         and not any(feature.start < b.stands[0] < feature.end for b in boards)
     ]
-    found = [*flights, *level, *_slopes(free), *boards]
-    return sorted(found, key=lambda feature: feature.start)
+    features = [*flights, *level, *_slopes(free), *boards]
+    return sorted(features, key=lambda feature: feature.start)
 
 
 def _flights(stretches: Sequence[Stretch]) -> list[CourseFeature]:
@@ -437,7 +437,7 @@ def _bars_and_gaps(stretches: Sequence[Stretch]) -> list[CourseFeature]:
     levels = [s for s in stretches if s.kind == "level"]
     ground = levels[0].before if levels else 0.0
     edges = [s for s in stretches if s.kind == "edge"]
-    found: list[CourseFeature] = []
+    features: list[CourseFeature] = []
     for first, second in pairwise(edges):
         alike = abs(first.before - second.after) <= max(_ALIKE, 0.3 * abs(first.rise))
         apart = second.start - first.end
@@ -445,11 +445,11 @@ def _bars_and_gaps(stretches: Sequence[Stretch]) -> list[CourseFeature]:
         if not alike or first.rise * second.rise >= 0:
             continue
         if first.rise > 0 and apart <= _LONGEST_BAR and beside <= _ALIKE:
-            found.append(_bar(first, second))
+            features.append(_bar(first, second))
         elif first.rise < 0 and apart <= _WIDEST_GAP and beside <= _ALIKE:
             behind = [s for s in levels if s.start >= at[1] - STEP]
-            found.append(_gap(first, second, behind[0] if behind else None))
-    return found
+            features.append(_gap(first, second, behind[0] if behind else None))
+    return features
 
 
 def _bar(up: Stretch, down: Stretch) -> CourseFeature:
@@ -480,7 +480,7 @@ def _gap(down: Stretch, up: Stretch, behind: Stretch | None) -> CourseFeature:
 
 def _slopes(stretches: Sequence[Stretch]) -> list[CourseFeature]:
     """Return slopes along the way; one that leads up is stood on behind its crest."""
-    found: list[CourseFeature] = []
+    features: list[CourseFeature] = []
     for number, stretch in enumerate(stretches):
         if stretch.kind != "slope":
             continue
@@ -489,7 +489,7 @@ def _slopes(stretches: Sequence[Stretch]) -> list[CourseFeature]:
         crest = stretch.end
         if following is not None and following.kind == "level":
             crest = min(following.middle, following.start + 0.6)
-        found.append(
+        features.append(
             CourseFeature(
                 task="ramps",
                 start=stretch.start,
@@ -500,20 +500,20 @@ def _slopes(stretches: Sequence[Stretch]) -> list[CourseFeature]:
                 f"over {stretch.length:.2f} m",
             )
         )
-    return found
+    return features
 
 
 def _boards(profile: GroundProfile) -> list[CourseFeature]:
     leans = np.where(np.abs(profile.lean) >= _LEAN, np.sign(profile.lean), 0.0)
     breaks = np.flatnonzero(np.diff(leans, prepend=0.0, append=0.0)).tolist()
-    found: list[CourseFeature] = []
+    features: list[CourseFeature] = []
     for first, last in pairwise(breaks):
         length = STEP * (last - 1 - first)
         if leans[first] == 0 or length < _LEAST_BOARD:
             continue
         degrees = math.degrees(math.atan(abs(float(np.median(profile.lean[first:last])))))
         side = "right" if leans[first] > 0 else "left"
-        found.append(
+        features.append(
             CourseFeature(
                 task="ramps",
                 start=STEP * first,
@@ -523,4 +523,4 @@ def _boards(profile: GroundProfile) -> list[CourseFeature]:
                 words=f"a board that leans {degrees:.0f} degrees down to the {side}",
             )
         )
-    return found
+    return features

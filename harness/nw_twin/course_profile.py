@@ -434,14 +434,14 @@ def stretches_of(profile: GroundProfile) -> list[Stretch]:
     slopes and the rest is level.
     """
     z = profile.height
-    found: list[Stretch] = []
+    stretches: list[Stretch] = []
     bounds = [0, *(place for edge in _edges(z, profile.edge) for place in edge), len(z) - 1]
     for number, (first, last) in enumerate(pairwise(bounds)):
         if number % 2:
-            found.append(_stretch("edge", first, last, z))
+            stretches.append(_stretch("edge", first, last, z))
         else:
-            found += _between(first, last, z)
-    return [_sharp(stretch, found, z) for stretch in found]
+            stretches += _between(first, last, z)
+    return [_sharp(stretch, stretches, z) for stretch in stretches]
 
 
 def _sharp(stretch: Stretch, all_of_them: Sequence[Stretch], z: Values) -> Stretch:
@@ -488,13 +488,13 @@ def _between(first: int, last: int, z: Values) -> list[Stretch]:
     steep = np.where(np.abs(grade) >= _GRADE, np.sign(grade), 0.0)
     slopes = [(a + first, b + first) for a, b in _runs(steep) if STEP * (b - a) >= _LEAST_SLOPE]
     bounds = [first, *(place for slope in slopes for place in slope), last]
-    found: list[Stretch] = []
+    stretches: list[Stretch] = []
     for number, (a, b) in enumerate(pairwise(bounds)):
         if number % 2:
-            found.append(_stretch("slope", a, b, z))
+            stretches.append(_stretch("slope", a, b, z))
         elif STEP * (b - a) >= _LEAST_LEVEL or not slopes:
-            found.append(_stretch("level", a, b, z))
-    return found
+            stretches.append(_stretch("level", a, b, z))
+    return stretches
 
 
 def _stretch(kind: Literal["level", "slope", "edge"], first: int, last: int, z: Values) -> Stretch:

@@ -135,15 +135,15 @@ def fence_stands() -> bool:
 @cache
 def offered(*, network: Network = "none") -> Fence:
     """Return what a fence comes to on this machine: a thread is fenced in to find out."""
-    found: list[Fence] = []
+    fences: list[Fence] = []
 
     def attempt() -> None:
-        found.append(raise_fence(reads=(), writes=(), network=network))
+        fences.append(raise_fence(reads=(), writes=(), network=network))
 
     thread = threading.Thread(target=attempt)
     thread.start()
     thread.join()
-    return found[0]
+    return fences[0]
 
 
 def _library_paths(*, network: bool) -> tuple[Path, ...]:

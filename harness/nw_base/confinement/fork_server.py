@@ -126,7 +126,7 @@ class ForkServer:
                 raise OSError(-pid, os.strerror(-pid))
             child = Child(pid, self)
             with suppress(BrokenPipeError):  # It has ended, which its owner will see.
-                orders.send(_ProcessContext.here())
+                orders.send(_ProcessContext.of_this_process())
                 orders.send((function, tuple(arguments)))
         return child
 
@@ -213,7 +213,7 @@ class _ProcessContext:
     path: list[str]
 
     @classmethod
-    def here(cls) -> _ProcessContext:
+    def of_this_process(cls) -> _ProcessContext:
         """Return those of this process."""
         folder = None
         with suppress(OSError):  # It was removed; nothing that a child is given is relative to it.

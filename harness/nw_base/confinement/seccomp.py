@@ -202,8 +202,8 @@ def program(
     texts = [*ALLOWED.values(), *([WRITING] if writes else [])]
     texts += {"none": [], "server": [SERVING], "all": [SERVING, CONNECTING]}[network]
     column = list(MACHINES).index(machine)
-    found = (each for text in texts for each in named(text))
-    calls = {numbers[column]: name for name, numbers in found if column < len(numbers)}
+    rows = (each for text in texts for each in named(text))
+    calls = {numbers[column]: name for name, numbers in rows if column < len(numbers)}
     spans = [(0, [_fail(errno.EPERM)])]
     for number, name in sorted(calls.items()):
         if number > _NEW:

@@ -287,9 +287,9 @@ def _rows_with_lists(
         values = np.empty(int(many.sum()), kind)
         places = np.cumsum(many) - many
         for n in np.unique(many[many > 0]).tolist():
-            found = np.flatnonzero(many == n)
-            for i in range(0, len(found), _BLOCK):
-                mine = found[i : i + _BLOCK]
+            matches = np.flatnonzero(many == n)
+            for i in range(0, len(matches), _BLOCK):
+                mine = matches[i : i + _BLOCK]
                 cells = data[first[mine, None] + np.arange(n * kind.itemsize)]
                 values[places[mine, None] + np.arange(n)] = cells.view(kind)
         if one.count:
@@ -306,10 +306,10 @@ def _alike_rows(
 
     Properties keep their names, and lengths are called by them after a zero byte.
     """
-    _, found, _ = _walk(data, order, element, offset, 1)
+    _, lengths, _ = _walk(data, order, element, offset, 1)
     fields: list[tuple[Any, ...]] = []
     counts: list[int] = []
-    for one, n in zip(element.properties, found[:, 0].tolist(), strict=True):
+    for one, n in zip(element.properties, lengths[:, 0].tolist(), strict=True):
         if one.count:
             counts.append(n)
             fields += [("\0" + one.name, order + one.count), (one.name, order + one.kind, (n,))]

@@ -16,11 +16,11 @@ def shipped(kind: Kind | Literal["baselines"]) -> Path:
     project has its own. The folder may be missing where neither was packed; callers then find
     nothing in it.
     """
-    here = Path(__file__).resolve().parents[2]  # All packages lie side by side.
-    packed = here / "nw_eval" / "data" / kind
+    root = Path(__file__).resolve().parents[2]  # All packages lie side by side.
+    packed = root / "nw_eval" / "data" / kind
     if packed.is_dir():
         return packed
-    return here.parent / "reports" / kind if kind == "baselines" else here.parent / kind
+    return root.parent / "reports" / kind if kind == "baselines" else root.parent / kind
 
 
 def available(kind: Kind, search: Path | None = None) -> dict[str, Path]:
@@ -33,10 +33,10 @@ def available(kind: Kind, search: Path | None = None) -> dict[str, Path]:
     Returns:
         Names in alphabetical order with their paths. A project's own entry hides a shipped one.
     """
-    found: dict[str, Path] = {}
+    paths: dict[str, Path] = {}
     for folder in (shipped(kind), (search or Path.cwd()) / kind):
         if kind == "suites":
-            found |= {path.stem: path for path in folder.glob("*.yaml")}
+            paths |= {path.stem: path for path in folder.glob("*.yaml")}
         else:
-            found |= {path.parent.name: path.parent for path in folder.glob("*/policy.yaml")}
-    return dict(sorted(found.items()))
+            paths |= {path.parent.name: path.parent for path in folder.glob("*/policy.yaml")}
+    return dict(sorted(paths.items()))

@@ -142,7 +142,7 @@ def attribute(
     )
     if planned is not None:
         planned(plan)
-    found: dict[int, AttributedTrial] = {}
+    attributed: dict[int, AttributedTrial] = {}
     paths = [logs[row.trial_id] for row in chosen]
     for place, what in attribute_apart(
         paths,
@@ -151,10 +151,12 @@ def attribute(
         allow_code=allow_code,
         workers=count,
     ):
-        found[place] = _attributed(chosen[place], paths[place], what)
+        attributed[place] = _attributed(chosen[place], paths[place], what)
         if ended is not None:
-            ended(found[place])
-    return Attribution(run=str(run), plan=plan, trials=tuple(found[n] for n in range(len(chosen))))
+            ended(attributed[place])
+    return Attribution(
+        run=str(run), plan=plan, trials=tuple(attributed[n] for n in range(len(chosen)))
+    )
 
 
 def _attributed(row: Row, log: Path, what: AttributionReport | NwEvalError) -> AttributedTrial:

@@ -55,16 +55,16 @@ def cache_info() -> CacheUse:
     from nw_eval.engine.cache import limit_bytes
 
     limit, store = limit_bytes(), _store()
-    found = [(kept, _entry(kept)) for kept in store]
-    good = [(kept, entry) for kept, entry in found if entry is not None]
+    entries = [(kept, _entry(kept)) for kept in store]
+    good = [(kept, entry) for kept, entry in entries if entry is not None]
     names = Counter(entry.row.policy for _, entry in good)
     return CacheUse(
         folder=store.folder,
         entries=len(good),
-        bytes=sum(kept.bytes for kept, _ in found),
+        bytes=sum(kept.bytes for kept, _ in entries),
         limit=limit,
         policies=tuple(names.most_common()),
-        damaged=len(found) - len(good),
+        damaged=len(entries) - len(good),
         oldest=min((kept.used for kept, _ in good), default=None),
     )
 

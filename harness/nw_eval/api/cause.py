@@ -113,8 +113,8 @@ def find_cause(
                 name = _name(arm)
                 card = str(write_crossed(folder / name / "policy", control, sight, name=name))
             plans[arm] = _planned(base, info, suite, card, control)
-    found = {arm: _rolled(planned, folder / _name(arm), means) for arm, planned in plans.items()}
-    rows = {arm: found[_same(arm, different)] for arm in ARMS}
+    runs = {arm: _rolled(planned, folder / _name(arm), means) for arm, planned in plans.items()}
+    rows = {arm: runs[_same(arm, different)] for arm in ARMS}
     cause = _caused(rows, different, old=old.name, new=new.name)
     write_cause(cause, source.id, folder / "cause.md")
     write_cause_file(cause, source.cause)
@@ -318,10 +318,10 @@ def _sight(card: Card) -> list[str]:
 
 
 def _values_of(card: Card) -> dict[str, Any]:
-    found = card.model_dump(mode="json", by_alias=True, exclude_unset=True)
+    values = card.model_dump(mode="json", by_alias=True, exclude_unset=True)
     for name, each in card.observations.items():
-        found["observations"][name]["rate"] = each.rate  # Whatever the other one's default is.
-    return found
+        values["observations"][name]["rate"] = each.rate  # Whatever the other one's default is.
+    return values
 
 
 def _named(names: set[str]) -> str:

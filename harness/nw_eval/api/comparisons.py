@@ -48,18 +48,18 @@ def compare(
     from nw_gate.side_by_side import side_by_side
 
     check_share(confidence)
-    found = side_by_side(entrants(runs), confidence)
+    comparison = side_by_side(entrants(runs), confidence)
     if out is not None:
         from nw_base.files.cache import followed
         from nw_eval.reporting.markdown import write_report
         from nw_eval.reporting.side_by_side import comparison_page
 
-        write_report(followed(Path(out)), comparison_page(found))
+        write_report(followed(Path(out)), comparison_page(comparison))
     if picture is not None:
         from nw_eval.reporting.pictures import draw_comparison
 
-        draw_comparison(found, Path(picture))
-    return found
+        draw_comparison(comparison, Path(picture))
+    return comparison
 
 
 def check_share(confidence: float) -> None:
@@ -163,9 +163,9 @@ def sim2real(
     policies = entrants(runs)
     spec = None if score in {None, "success"} else score_of(str(score), policies)
     results = read_real_results(Path(real), spec)
-    found = agreement(measured(results, policies, spec), confidence)
+    agreed = agreement(measured(results, policies, spec), confidence)
     if spec is None:
-        return found
+        return agreed
     sign = spec.width if spec.better == "higher" else -spec.width
     gaps = tuple(
         replace(
@@ -173,6 +173,6 @@ def sim2real(
             value=sign * gap.value,
             interval=Interval(*sorted((sign * gap.interval.low, sign * gap.interval.high))),
         )
-        for gap in found.gaps
+        for gap in agreed.gaps
     )
-    return replace(found, gaps=gaps, score=spec.name, unit=spec.unit)
+    return replace(agreed, gaps=gaps, score=spec.name, unit=spec.unit)

@@ -80,7 +80,7 @@ def continued(run: Path, request: Request) -> Plan:
     return _restore_draw(plan, folder, info)
 
 
-def _check_gate(run: Path, begun: Suite, now: Suite) -> None:
+def _check_gate(run: Path, begun: Suite, current: Suite) -> None:
     """Refuse to judge a run by other rules than it was begun with.
 
     More trials are no other rules: what is claimed holds at any look.
@@ -88,11 +88,13 @@ def _check_gate(run: Path, begun: Suite, now: Suite) -> None:
     Raises:
         IncomparableError: a setting of the gate is another one; naming each, then and now.
     """
-    then, today = (suite.gate.model_dump(mode="json", exclude={"rounds"}) for suite in (begun, now))
+    recorded, today = (
+        suite.gate.model_dump(mode="json", exclude={"rounds"}) for suite in (begun, current)
+    )
     changed = [
-        f"gate.{name} is {today.get(name)}, it was begun with {then.get(name)}"
-        for name in sorted({*then, *today})
-        if then.get(name) != today.get(name)
+        f"gate.{name} is {today.get(name)}, it was begun with {recorded.get(name)}"
+        for name in sorted({*recorded, *today})
+        if recorded.get(name) != today.get(name)
     ]
     if changed:
         raise IncomparableError(

@@ -124,17 +124,17 @@ def check_up() -> Checkup:
 
 
 def _versions() -> dict[str, str]:
-    found = {
+    versions = {
         "nw-eval": __version__,
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
     }
     for name in LIBRARIES:
         with suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
+            versions[name] = metadata.version(name)
     if kernel := _blas_kernel():
-        found["openblas"] = kernel
-    return found
+        versions["openblas"] = kernel
+    return versions
 
 
 def _blas_kernel() -> str:
@@ -193,17 +193,21 @@ def _processor() -> dict[str, str | int]:
 
 def _memory() -> dict[str, int | None]:
     """Return bytes as Linux tells them (proc(5), cgroups(7)); nothing elsewhere."""
-    found: dict[str, int | None] = {}
+    memory: dict[str, int | None] = {}
     with suppress(OSError, ValueError):
         lines = Path("/proc/meminfo").read_text(encoding="utf-8").splitlines()
         sizes = {line.partition(":")[0]: int(line.split()[1]) * 1024 for line in lines}
-        found |= {"installed": sizes["MemTotal"], "available": sizes["MemAvailable"], "limit": None}
+        memory |= {
+            "installed": sizes["MemTotal"],
+            "available": sizes["MemAvailable"],
+            "limit": None,
+        }
     for file in ("memory.max", "memory/memory.limit_in_bytes"):
         with suppress(OSError, ValueError, KeyError):
             limit = int(Path("/sys/fs/cgroup", file).read_text(encoding="utf-8"))
-            if limit < (found["installed"] or 0):
-                found["limit"] = limit
-    return found
+            if limit < (memory["installed"] or 0):
+                memory["limit"] = limit
+    return memory
 
 
 def _cache() -> tuple[dict[str, str | int], list[str]]:
@@ -230,10 +234,10 @@ def _compiled() -> tuple[str, ...]:
     from nw_base.files.cache import cache_dir
 
     try:
-        found = [metadata.version(name) for name in ("numba", "llvmlite", "numpy")]
+        libraries = [metadata.version(name) for name in ("numba", "llvmlite", "numpy")]
     except metadata.PackageNotFoundError:
         return ()
-    versions = (platform.python_version(), *found)
+    versions = (platform.python_version(), *libraries)
     from llvmlite import binding
 
     packages, folder = Path(__file__).parents[2], cache_dir() / "kernels"

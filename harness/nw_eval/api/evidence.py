@@ -109,13 +109,13 @@ def _read(
 
 def _within(rows: Sequence[Row], logs: Mapping[str, Path]) -> list[Row]:
     """Return the first rows, as many as have logs that are not too much to read."""
-    found: list[Row] = []
+    kept: list[Row] = []
     room = _MOST_READ
     for row in rows:
         room -= _size(logs[row.trial_id])
         if room >= 0:
-            found.append(row)
-    return found
+            kept.append(row)
+    return kept
 
 
 def _size(path: Path) -> int:
@@ -135,14 +135,14 @@ def drawn_trials(rows: Iterable[Row], most: int = MOST_PATHS) -> list[Row]:
 
     Errors of the machine are none of the policy's and are not among them.
     """
-    found: list[tuple[bool, int, str, Row]] = []
+    ranked: list[tuple[bool, int, str, Row]] = []
     counts: defaultdict[tuple[str, bool], int] = defaultdict(int)
     for row in sorted(rows, key=lambda row: row.trial_id):
         if row.status == "ok":
             turn = counts[row.scene, row.completed]
             counts[row.scene, row.completed] += 1
-            found.append((row.completed, turn, row.trial_id, row))
-    return [row for *_, row in sorted(found, key=lambda entry: entry[:3])[:most]]
+            ranked.append((row.completed, turn, row.trial_id, row))
+    return [row for *_, row in sorted(ranked, key=lambda entry: entry[:3])[:most]]
 
 
 def clipped_trials(rows: Sequence[Row], most: int = MOST_CLIPS) -> list[Row]:
@@ -185,24 +185,24 @@ def read_apart(
         room: bytes that one `picture` of a scene and one `clip` may have.
     """
     rules = Rules(reads=(folder.resolve(),), seconds=_PROCESSOR_SECONDS)
-    found: list[tuple[WantedLog, ReadLog]] = []
+    pairs: list[tuple[WantedLog, ReadLog]] = []
     waiting, started, end = [list(wanted)], 0, monotonic() + _SECONDS
     while waiting:
         batch = waiting.pop()
         left = end - monotonic()
         if started == _MOST_PROCESSES or left <= 0.0:
-            found += [(log, ReadLog(fault="reading the logs took too long")) for log in batch]
+            pairs += [(log, ReadLog(fault="reading the logs took too long")) for log in batch]
             continue
         started += 1
         logs = _read_batch(batch, rules, room, left)
         if logs is not None:
-            found += zip(batch, logs, strict=True)
+            pairs += zip(batch, logs, strict=True)
         elif len(batch) > 1:  # One of them is to blame.
             half = len(batch) // 2
             waiting += [batch[half:], batch[:half]]
         else:
-            found.append((batch[0], ReadLog(fault=_UNREAD)))
-    return found
+            pairs.append((batch[0], ReadLog(fault=_UNREAD)))
+    return pairs
 
 
 def _read_batch(
@@ -311,9 +311,9 @@ class KeptEvidence:
     def _prune(self) -> None:
         """Remove the files that were not used for longest, until there is room for the rest."""
         with suppress(OSError):
-            found = [(path, path.lstat()) for path in self.folder.iterdir()]
+            files = [(path, path.lstat()) for path in self.folder.iterdir()]
             room = _MOST
-            for path, facts in sorted(found, key=lambda each: -each[1].st_mtime_ns):
+            for path, facts in sorted(files, key=lambda each: -each[1].st_mtime_ns):
                 room -= facts.st_size
                 if room < 0:
                     path.unlink()
@@ -424,9 +424,9 @@ def _left_out(rows: Sequence[Row], drawn: Sequence[Row]) -> str:
 
 
 def _faults(sentence: str, faults: Sequence[tuple[Row, str]]) -> list[str]:
-    found = [sentence.format(row.trial_id, fault) for row, fault in faults if fault]
-    more = len(found) - _NAMED
-    return found[:_NAMED] + (
+    sentences = [sentence.format(row.trial_id, fault) for row, fault in faults if fault]
+    more = len(sentences) - _NAMED
+    return sentences[:_NAMED] + (
         [f"The same is true of {plural(more, 'more log')}."] if more > 0 else []
     )
 

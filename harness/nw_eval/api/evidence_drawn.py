@@ -171,9 +171,9 @@ def _scenes(
     from nw_sim.rollout.replaying.logged import read_logged_trial
 
     names = {place.scene for place in evidence.places}
-    found: dict[str, tuple[str, Scene]] = {}
+    scenes: dict[str, tuple[str, Scene]] = {}
     for trial, row in rows.items():
-        if row.scene not in names or row.scene in found:
+        if row.scene not in names or row.scene in scenes:
             continue
         if is_built_in(row.scene):
             reference, scene = row.scene, open_scene(row.scene)
@@ -183,8 +183,8 @@ def _scenes(
         else:
             continue
         if scene.digest == digests.get(row.scene):
-            found[row.scene] = (reference, scene)
-    return found
+            scenes[row.scene] = (reference, scene)
+    return scenes
 
 
 def _is_ready(scene: Scene, rows: Sequence[Row], name: str) -> bool:
@@ -366,10 +366,10 @@ def _filmed(path: Path, library: Library, waypoint: int) -> ReadClip | None:
 def _reached(log: LogReader, waypoint: int) -> float:
     """Return when a trial reached a waypoint, s; infinity if it did not."""
     events = log.messages("/nw/event")
-    found = [
+    times = [
         t for _, t, event in events if event.kind == "waypoint" and event.waypoint == waypoint - 1
     ]
-    return found[0] * 1e-9 if found else inf
+    return times[0] * 1e-9 if times else inf
 
 
 _Pose = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]

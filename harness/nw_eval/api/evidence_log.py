@@ -122,7 +122,7 @@ def read_logs(wanted: Sequence[tuple[str, str]], clips: Sequence[str], room: dic
         room: bytes of one `picture` of a scene and of one `clip`.
     """
     drawn: set[str] = set()
-    found: list[ReadLog] = []
+    logs: list[ReadLog] = []
     for path, scene in wanted:
         try:
             read = _read(
@@ -134,8 +134,8 @@ def read_logs(wanted: Sequence[tuple[str, str]], clips: Sequence[str], room: dic
             read = ReadLog(fault=_why(error))
         if read.place is not None:
             drawn.add(scene)
-        found.append(read)
-    return ReadLogs(logs=tuple(found)).model_dump_json()
+        logs.append(read)
+    return ReadLogs(logs=tuple(logs)).model_dump_json()
 
 
 def _read(path: Path, *, place_bytes: int, clip_bytes: int) -> ReadLog:
@@ -308,10 +308,10 @@ class LatestPictures:
             ValueError, OSError, protobuf's errors: a picture is damaged.
         """
         self._forget(end_ns)
-        found = [key for key, messages in self._kept.items() if messages]
-        if not found:
+        cameras = [key for key, messages in self._kept.items() if messages]
+        if not cameras:
             return "", []
-        kind, topic = min(found, key=lambda key: (key[0], key[1].count("/"), key[1]))
+        kind, topic = min(cameras, key=lambda key: (key[0], key[1].count("/"), key[1]))
         messages = _thinned(self._kept[kind, topic])
         times = [message.time_ns * _SECOND for message in messages]
         data = [message.data for message in messages]
@@ -516,8 +516,8 @@ def _seen(triangles: NDArray[np.floating], box: Box) -> NDArray[np.floating]:
     near &= (flat.max(axis=1) > (west, south)).all(axis=1)
     a, b = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
     area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-    found = triangles[near & (area > 1e-6) & np.isfinite(triangles).all(axis=(1, 2))]
-    return found[np.argsort(found[:, :, 2].mean(axis=1), kind="stable")]
+    visible = triangles[near & (area > 1e-6) & np.isfinite(triangles).all(axis=(1, 2))]
+    return visible[np.argsort(visible[:, :, 2].mean(axis=1), kind="stable")]
 
 
 def _heights_as_greys(triangles: NDArray[np.floating], ground: float) -> NDArray[np.int64]:

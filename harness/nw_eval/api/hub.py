@@ -133,22 +133,22 @@ def push_scene(folder: str | PathLike[str], to: str, *, private: bool = False) -
 
     folder = as_path(folder)
     reference = parse(to, "scene")
-    found = folder_files(folder)
+    files = folder_files(folder)
     faults = [str(each) for each in inspect_scene(folder).findings if each.severity == "error"]
     if faults:
         raise SceneError((f"{folder} is not pushed as it is:", *faults), fix="mend the scene first")
     beside = {name: folder / name for name in _BESIDE}
-    found |= {name: path for name, path in beside.items() if _is_own_file(path)}
+    files |= {name: path for name, path in beside.items() if _is_own_file(path)}
     commit = push(
         reference,
-        dict(sorted(found.items())),
+        dict(sorted(files.items())),
         private=private,
         message=f"{load_folder(folder).name}, pushed by nw-eval",
     )
     return PushedScene(
         reference=f"{reference.text}@{commit}",
-        files=tuple(sorted(found)),
-        bytes=sum(path.stat().st_size for path in found.values()),
+        files=tuple(sorted(files)),
+        bytes=sum(path.stat().st_size for path in files.values()),
     )
 
 

@@ -168,10 +168,10 @@ def resumed_baseline(
     wanted = wanted_baseline(request, suite, own_policy=info.own_policy)
     if kept is None or (wanted is not None and wanted.info.sha256 == kept.info.sha256):
         return wanted
-    now = str(request.baseline) + ("" if wanted is None else f" ({wanted.info.sha256[:8]})")
+    asked = str(request.baseline) + ("" if wanted is None else f" ({wanted.info.sha256[:8]})")
     raise IncomparableError(
         f"run {info.id} was begun against baseline {kept.info.name} ({kept.info.sha256[:8]}), not "
-        f"{now}",
+        f"{asked}",
         fix="start a new run without --resume",
     )
 

@@ -60,10 +60,10 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
     control = _merged_control(sources, plan)
     info, lost = write_merged(folder.path, arm, _baseline(sources), control)
     suite = saved_suite(info)
-    found = RunRows(rows=tuple(one.row for one in held), remarks=(*remarks, *lost))
+    merged = RunRows(rows=tuple(one.row for one in held), remarks=(*remarks, *lost))
     del sources, plan, first, held, arm, control  # A million trials have hundreds of megabytes.
     against = judging_baseline(folder, info, suite, baseline)
-    return written(judged_rows(folder, info, suite, against, found), folder.report_md)
+    return written(judged_rows(folder, info, suite, against, merged), folder.report_md)
 
 
 def _read(
@@ -96,9 +96,9 @@ def _read(
         own = trials
         if shard is not None:
             own = Shard(index=shard.index, count=shard.count).share(trials)
-        found = read_trials(source.folder, source.info, own)
-        sources.append(replace(source, rows=found.rows))
-        remarks += [f"{source}: {remark}" for remark in found.remarks]
+        recorded = read_trials(source.folder, source.info, own)
+        sources.append(replace(source, rows=recorded.rows))
+        remarks += [f"{source}: {remark}" for remark in recorded.remarks]
     return sources, ordered, remarks
 
 

@@ -115,8 +115,8 @@ def plan_of(
         read = None
         if suite is not None and against is None:
             read = beside.submit(wanted_baseline, request, suite, own_policy=own_policy)
-        found = open_scenes(draft, faults, request.collision)
-        for found_scene in found:
+        known_scenes = open_scenes(draft, faults, request.collision)
+        for found_scene in known_scenes:
             _ = (
                 found_scene.scene.digest
             )  # Kept; the process that checks the policy is still starting.
@@ -129,7 +129,7 @@ def plan_of(
     faults.raise_any()
     assert suite is not None, "a suite that cannot be used has faults"
     assert bundle is not None, "a policy that cannot be used has faults"
-    chosen = chosen_scenes(found, request.scenes if scenes is None else scenes, suite)
+    chosen = chosen_scenes(known_scenes, request.scenes if scenes is None else scenes, suite)
     opened = [found_scene.scene for found_scene in chosen]
     check_splats(bundle.card, opened)
     if read is not None:
@@ -151,7 +151,7 @@ def plan_of(
         found=chosen,
         left_out=tuple(
             sorted(
-                {found_scene.scene.name for found_scene in found}
+                {found_scene.scene.name for found_scene in known_scenes}
                 - {found_scene.scene.name for found_scene in chosen}
             )
         ),
@@ -326,16 +326,16 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
         for trial in plan.trials:
             groups.setdefault((trial.scene, trial.perturbation), []).append(trial.id)
         drawn_names = (draw(names, str(count), seed) for names in groups.values())
-        again = frozenset(name for names in drawn_names for name in names)
-        return replace(plan, is_baseline=False, again=again)
+        trial_ids = frozenset(name for names in drawn_names for name in names)
+        return replace(plan, is_baseline=False, again=trial_ids)
     suite = override(plan.suite, Request(trials=max(plan.suite.trials, count)))
     check_rounds(against, suite.trials, suite, plan.request)
     key = recheck_key(seed)
     drawn = DrawnOrder(starts=starts, candidate=key)
     order = draw_rounds(strata, starts, suite.trials, candidate=key, suite_digest=suite.digest)
     trials = expand(suite, plan.scenes, order)
-    again = frozenset(trial.id for trial in trials[: count * len(strata)])
-    return replace(plan, suite=suite, trials=trials, drawn=drawn, again=again)
+    trial_ids = frozenset(trial.id for trial in trials[: count * len(strata)])
+    return replace(plan, suite=suite, trials=trials, drawn=drawn, again=trial_ids)
 
 
 def rechecks(request: Request) -> int:
@@ -437,19 +437,21 @@ def check(
 
 
 def chosen_scenes(
-    found: Sequence[FoundScene], globs: Sequence[str] | None, suite: Suite
+    scenes: Sequence[FoundScene], globs: Sequence[str] | None, suite: Suite
 ) -> tuple[FoundScene, ...]:
     """Return the scenes that match a glob; all of them if there are no globs to match."""
     from nw_sim.catalogue import is_meant
 
     if globs is None:
-        return tuple(found)
-    chosen = tuple(x for x in found if any(is_meant(x.scene.name, glob) for glob in globs))
+        return tuple(scenes)
+    chosen = tuple(x for x in scenes if any(is_meant(x.scene.name, glob) for glob in globs))
     if not chosen:
         wanted = ", ".join(globs)
         raise UsageError(
             f"--scenes {wanted} matches no scene of suite {suite.name!r}",
-            fix=nearest(wanted.replace("*", ""), [found_scene.scene.name for found_scene in found]),
+            fix=nearest(
+                wanted.replace("*", ""), [found_scene.scene.name for found_scene in scenes]
+            ),
         )
     return chosen
 
@@ -504,13 +506,13 @@ def open_scenes(
     from nw_sim import catalogue
     from nw_sim.survey.course import start_finding
 
-    found: dict[tuple[str, Collision], FoundScene] = {}
+    opened: dict[tuple[str, Collision], FoundScene] = {}
     failed: list[str] = []
     for index, pattern in draft.scenes.items():
         try:
             for each in catalogue.references([pattern], draft.base, collision=collision):
-                if each not in found:
-                    found_scene = found[each] = catalogue.FoundScene.at(*each)
+                if each not in opened:
+                    found_scene = opened[each] = catalogue.FoundScene.at(*each)
                     if free := start_finding(found_scene.scene):
                         faults.at(("scenes", index), _refused(found_scene.scene.name, free))
         except SceneError as error:
@@ -521,9 +523,9 @@ def open_scenes(
             faults.at(("scenes", index), SceneError(message, fix="name a scene or its folder"))
             failed.append(pattern)
     # A tier of a scene that exists, and is not run for another fault's sake, is no fault.
-    meant = [found_scene.scene.name for found_scene in found.values()]
+    meant = [found_scene.scene.name for found_scene in opened.values()]
     faults.extend(tier_problems(draft, meant + list(catalogue.names() if failed else ()), failed))
-    return tuple(found.values())
+    return tuple(opened.values())
 
 
 def _refused(scene: str, finding: SceneFinding) -> NwEvalError:

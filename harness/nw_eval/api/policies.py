@@ -189,7 +189,7 @@ def init_policy(
 
     checkpoint = as_path(checkpoint)
     out = as_path(out)
-    found = find_robot(robot)
+    entry = find_robot(robot)
     others: tuple[str, ...] = ()
     folder = checkpoint.parent
     if what_is(checkpoint) == "folder":
@@ -203,13 +203,13 @@ def init_policy(
         call_isolated,
         draft_of,
         subject=str(checkpoint),
-        rules=inspecting_rules(checkpoint, robot=found.folder, also=statistics),
+        rules=inspecting_rules(checkpoint, robot=entry.folder, also=statistics),
         checkpoint=str(checkpoint),
-        robot=found.reference,
-        robot_folder=None if found.folder is None else str(found.folder),
+        robot=entry.reference,
+        robot_folder=None if entry.folder is None else str(entry.folder),
         folder=str(card.parent),
         layout=layout,
-        beside=files_beside_checkpoint(checkpoint, found.spec.name),
+        beside=files_beside_checkpoint(checkpoint, entry.spec.name),
         statistics=None if statistics is None else str(statistics),
     )
     drafted = draft()

@@ -246,10 +246,10 @@ def _found(log: Path) -> Path:
     from nw_base.errors import UsageError
     from nw_gate.results.log_links import taken_over_log
 
-    found = taken_over_log(log)
-    if not found.is_file():
+    path = taken_over_log(log)
+    if not path.is_file():
         raise UsageError(
             f"{log} is {'a folder' if log.is_dir() else 'not a file'}",
             fix="name a trial's log, such as RUN/mcap/SCENE/TRIAL.mcap",
         )
-    return found
+    return path

@@ -291,8 +291,8 @@ def _judged(
     with ThreadPoolExecutor(max_workers=1) as beside:
         opened = beside.submit(baseline)
         trials, spare = saved_trials(info, suite), spare_trials(info, suite)
-        found = read_trials(folder, info, trials, spare=spare, mend=mend)
-    return judged_rows(folder, info, suite, opened.result(), found, mend=mend)
+        recorded = read_trials(folder, info, trials, spare=spare, mend=mend)
+    return judged_rows(folder, info, suite, opened.result(), recorded, mend=mend)
 
 
 def judged_rows(
@@ -300,7 +300,7 @@ def judged_rows(
     info: RunInfo,
     suite: Suite,
     against: LoadedBaseline | None,
-    found: RunRows,
+    recorded: RunRows,
     *,
     mend: bool = True,
 ) -> RunReport:
@@ -312,23 +312,23 @@ def judged_rows(
     from nw_gate.baseline.combine import judge_run, with_limits
     from nw_gate.results.evidence_check import lost_logs
 
-    verdict = judge_run(found.rows, info, suite.gate, against)
+    verdict = judge_run(recorded.rows, info, suite.gate, against)
     if suite.gate.limits:
         from nw_eval.api.limit_gates import limit_findings
 
         shown = limit_findings(folder, info, suite, against, verdict, mend=mend)
         verdict = with_limits(verdict, shown)
-    remarks = (*found.remarks, *lost_logs(found.rows))
+    remarks = (*recorded.remarks, *lost_logs(recorded.rows))
     is_fresh = verdict.against is None or verdict.against.basis == "fresh"
     verdict = replace(verdict, reasons=(*verdict.reasons, *remarks))
     return RunReport(
         folder=folder.path,
         info=info,
         verdict=verdict,
-        rows=found.rows,
+        rows=recorded.rows,
         page=None,
         baseline=None if against is None else against.info,
-        rivals={} if against is None or is_fresh else against.rivals(found.rows, info),
+        rivals={} if against is None or is_fresh else against.rivals(recorded.rows, info),
         baseline_policy=None if against is None else against.results.manifest.policy,
     )
 
@@ -475,5 +475,5 @@ def _pages(out: Path) -> tuple[Path, Path]:
 
 def typed(path: Path) -> Path:
     """Return a path as one would type it here: relative where it lies below."""
-    resolved, here = path.resolve(), Path.cwd()
-    return resolved.relative_to(here) if resolved.is_relative_to(here) else resolved
+    resolved, folder = path.resolve(), Path.cwd()
+    return resolved.relative_to(folder) if resolved.is_relative_to(folder) else resolved

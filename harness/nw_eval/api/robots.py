@@ -53,12 +53,12 @@ def list_robots() -> tuple[ListedRobot, ...]:
     from nw_scenes.robots.standing import LevelGround
     from nw_sim.probe.robot_check import place_of
 
-    found: list[ListedRobot] = []
+    robots: list[ListedRobot] = []
     for name in robot_names():
         try:
             robot = find_robot(name)
             spec = robot.spec
-            found.append(
+            robots.append(
                 ListedRobot(
                     name=name,
                     joints=len(spec.joints),
@@ -69,12 +69,12 @@ def list_robots() -> tuple[ListedRobot, ...]:
                 )
             )
         except NwEvalError as error:
-            found.append(
+            robots.append(
                 ListedRobot(
                     name=name, joints=0, feet=0, mass=0.0, height=0.0, place="", problem=str(error)
                 )
             )
-    return tuple(found)
+    return tuple(robots)
 
 
 def show_robot(robot: str) -> RobotSummary:

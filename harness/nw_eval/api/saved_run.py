@@ -186,7 +186,7 @@ def read_rows(run: str | Path) -> pd.DataFrame:
     from nw_gate.results.run_folder import open_run_folder
 
     folder = open_run_folder(Path(run))
-    found = saved_rows(folder, read_run_info(folder.run_json))
-    rows = sorted(found, key=lambda row: row.trial_id)
+    saved = saved_rows(folder, read_run_info(folder.run_json))
+    rows = sorted(saved, key=lambda row: row.trial_id)
     values = [{**to_dict(row), "seed": str(row.seed)} for row in rows]
     return pd.DataFrame(values, columns=list(Row.__dataclass_fields__))

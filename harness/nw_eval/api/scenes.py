@@ -188,9 +188,9 @@ def check_scenes(
         raise UsageError(f"{out} is there already", fix="name another file, or remove it")
     checked: list[CheckedScene] = []
     for reference in references:
-        found = inspect_scene(reference, robot=robot)
+        inspected = inspect_scene(reference, robot=robot)
         checked.append(
-            CheckedScene(reference=reference, findings=found.findings, survey=found.survey)
+            CheckedScene(reference=reference, findings=inspected.findings, survey=inspected.survey)
         )
     if out is not None and not any(scene.has_errors for scene in checked):
         _write_suite(out, references, robot, policy)
@@ -202,11 +202,12 @@ def _write_suite(path: Path, references: Sequence[str], robot: str, policy: str 
     from nw_eval.suite.load import robot_from, write_ready_suite
     from nw_sim.catalogue import from_folder
 
-    here, robot = policy, robot_from(path.parent, robot)
+    place, robot = policy, robot_from(path.parent, robot)
     if policy is not None and "/" in policy and Path(policy).exists():
-        here = Path(os.path.relpath(policy, path.parent)).as_posix()  # Paths start at the suite.
+        # Paths start at the suite.
+        place = Path(os.path.relpath(policy, path.parent)).as_posix()
     scenes = [from_folder(each, path.parent) for each in references]
-    write_ready_suite(path, path.stem, scenes, robot=robot, policy=here)
+    write_ready_suite(path, path.stem, scenes, robot=robot, policy=place)
 
 
 def render_scenes(
@@ -236,9 +237,9 @@ def render_scenes(
 
     out = as_path(out)
     followed(out)  # What can never be written is said before anything is drawn.
-    found = match_scenes(tuple(patterns) or ("*",))
-    build_splats(found, listener or NullListener())
-    write_scene_sheet(found, out, width=width)
+    references = match_scenes(tuple(patterns) or ("*",))
+    build_splats(references, listener or NullListener())
+    write_scene_sheet(references, out, width=width)
     return out
 
 
@@ -258,6 +259,6 @@ def warmup(scenes: Sequence[str] = (), *, listener: Listener | None = None) -> W
     from nw_sim.warmup import warmup as compile_kernels
 
     seconds = compile_kernels()
-    found = match_scenes(tuple(scenes)) if scenes else ()
-    build_splats(found, listener or NullListener())
-    return WarmUp(kernel_seconds=seconds, scenes=tuple(scene.name for scene in found))
+    references = match_scenes(tuple(scenes)) if scenes else ()
+    build_splats(references, listener or NullListener())
+    return WarmUp(kernel_seconds=seconds, scenes=tuple(scene.name for scene in references))

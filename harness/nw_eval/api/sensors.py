@@ -34,18 +34,18 @@ def list_sensors() -> tuple[ListedSensor, ...]:
     from nw_policies.cards.observations import BUILT_IN_SENSORS
     from nw_policies.cards.wrappers import BUILT_IN_WRAPPERS
 
-    found: list[ListedSensor] = []
+    sensors: list[ListedSensor] = []
     kinds: tuple[tuple[Listed, str, tuple[str, ...]], ...] = (
         ("sensor", SENSORS, tuple(BUILT_IN_SENSORS)),
         ("wrapper", WRAPPERS, tuple(BUILT_IN_WRAPPERS)),
     )
     for kind, group, built_in in kinds:
-        found += [ListedSensor(name=name, kind=kind) for name in built_in]
-        found += [
+        sensors += [ListedSensor(name=name, kind=kind) for name in built_in]
+        sensors += [
             ListedSensor(name=name, kind=kind, package=package)
             for name, package in usable(group, built_in).items()
         ]
-    return tuple(found)
+    return tuple(sensors)
 
 
 def draw_sensors(

@@ -175,11 +175,11 @@ def _badges(runs: Sequence[ListedRun], folder: Path, stem: str) -> tuple[Path, .
     """
     from nw_eval.reporting.html.board import badges
 
-    found = badges(runs, stem=stem)
-    for name, text in found.items():
+    written = badges(runs, stem=stem)
+    for name, text in written.items():
         with atomic_path(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
-    return tuple(folder / name for name in found)
+    return tuple(folder / name for name in written)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -389,12 +389,12 @@ def _sections(
     def shown(run: RunReport) -> BoardRun:
         return BoardRun(info=run.info, verdict=run.verdict, href=hrefs[run.folder])
 
-    found = [
+    sections = [
         (each, comparison, group.note, () if index else group.stopped)
         for group in groups
         for index, (each, comparison) in enumerate(_compared(group.runs, confidence, left_out))
     ]
-    suites = [runs[0][1].suite for runs, *_ in found]
+    suites = [runs[0][1].suite for runs, *_ in sections]
     return [
         BoardSection(
             title=f"{suites[index]} ({suites[: index + 1].count(suites[index])})"
@@ -406,7 +406,7 @@ def _sections(
             stopped=tuple(map(shown, stopped)),
             pictures={},
         )
-        for index, (runs, comparison, note, stopped) in enumerate(found)
+        for index, (runs, comparison, note, stopped) in enumerate(sections)
     ]
 
 
@@ -472,14 +472,14 @@ class _Pictures:
         return {key: picture for run in runs for key, picture in self._of(run.info).items()}
 
     def _of(self, info: RunInfo) -> dict[tuple[str, str], bytes]:
-        found: dict[tuple[str, str], bytes] = {}
+        contents: dict[tuple[str, str], bytes] = {}
         for name, scene in info.scenes.items() if self.draws else ():
             key = (name, scene.digest)
             if key not in self.drawn:
                 self.drawn[key] = _picture(*key)
             if (picture := self.drawn[key]) is not None:
-                found[key] = picture
-        return found
+                contents[key] = picture
+        return contents
 
 
 def _picture(name: str, digest: str) -> bytes | None:

@@ -101,19 +101,19 @@ class Surfaces:
 def _reporter(name: str, target: str | None) -> Reporter:
     if name in REPORTERS:
         warn_if_built_in(GROUP, name)
-        found = REPORTERS[name]
+        reporter = REPORTERS[name]
     elif name in installed(GROUP):
-        found = load(GROUP, name, Reporter)
+        reporter = load(GROUP, name, Reporter)
     else:
         raise UsageError(
             f"--reporter {name} is unknown",
             fix=nearest(name, {*REPORTERS, *installed(GROUP)}),
         )
-    if found.target == "file" and not target:
+    if reporter.target == "file" and not target:
         raise UsageError(f"--reporter {name}: it writes a file", fix=f"--reporter {name}=PATH")
-    if found.target == "nothing" and target is not None:
+    if reporter.target == "nothing" and target is not None:
         raise UsageError(f"--reporter {name}={target}: it takes nothing", fix=f"--reporter {name}")
-    return found
+    return reporter
 
 
 @dataclass(frozen=True, kw_only=True)

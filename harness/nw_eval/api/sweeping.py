@@ -95,7 +95,7 @@ def sweep(
         for number, rival in enumerate(rivals)
     ]
     suite, folder = bases[0].suite.name, result_folder(out, f"{bases[0].suite.name}-sweep")
-    found: dict[str, list[AxisCurve]] = {}
+    by_axis: dict[str, list[AxisCurve]] = {}
     interrupted = False
     for name, number, planned in plans:
         done = roll_out(planned, means, out=folder / name / f"{number}", ladders="none")
@@ -104,11 +104,11 @@ def sweep(
             curve = curve_of(
                 axis_named(name), labels[number - 1], run.rows, confidence, run.info.scores
             )
-            found.setdefault(name, []).append(curve)
+            by_axis.setdefault(name, []).append(curve)
         interrupted = run.interrupted
         if interrupted:
             break
-    curves = tuple(tuple(of_axis) for of_axis in found.values())
+    curves = tuple(tuple(of_axis) for of_axis in by_axis.values())
     if curves:
         write_sweep(curves, suite, folder)
     return SweptSuite(out=folder, suite=suite, axes=curves, interrupted=interrupted)

@@ -135,74 +135,75 @@ def _repeats_of(
     """Run a plan and compare each of its rows."""
     from nw_eval.engine import session
 
-    now = session.carry_out(
+    repeat_run = session.carry_out(
         plan,
         replace(how, cache=False),  # It may have taken in the very results that are to be verified.
         out=temporary / "run",
     )
-    again = {row.trial_id: row for row in read_journal(now.journal).rows}
+    repeated = {row.trial_id: row for row in read_journal(repeat_run.journal).rows}
     return Repeats(
         seed=seed,
         of=of,
         trials=tuple(
-            compared(rows[name], again[name], run=folder, now=now) for name in sorted(again)
+            compared(rows[name], repeated[name], run=folder, repeat_run=repeat_run)
+            for name in sorted(repeated)
         ),
-        interrupted=read_run_info(now.run_json).interrupted,
+        interrupted=read_run_info(repeat_run.run_json).interrupted,
     )
 
 
-def compared(row: Row, again: Row, *, run: RunFolder, now: RunFolder) -> RepeatedTrial:
+def compared(row: Row, repeated: Row, *, run: RunFolder, repeat_run: RunFolder) -> RepeatedTrial:
     """Compare a trial of a run with its result now.
 
     Args:
         row: one of the run's.
-        again: of the trial that was run again.
+        repeated: the row of the trial that was run again.
         run: the folder of the run, and
-        now: the one that the trial was run in.
+        repeat_run: folder of the run that ran the trial again.
     """
-    fault = "" if again.status == "ok" else f"{again.error_type}: {again.error_text}"
-    if again.cached:  # What an earlier run says of it shows nothing.
+    fault = "" if repeated.status == "ok" else f"{repeated.error_type}: {repeated.error_text}"
+    if repeated.cached:  # What an earlier run says of it shows nothing.
         fault = "its result comes from another run; it did not run"
-    log, parted = _logs(row, again, run, now)
+    log, parted = _logs(row, repeated, run, repeat_run)
     return RepeatedTrial(
         trial=row.trial_id,
-        steps=again.steps,
-        differences=() if fault else _differences(row, again),
+        steps=repeated.steps,
+        differences=() if fault else _differences(row, repeated),
         partings={} if fault else parted,
         log=log,
         fault=fault,
     )
 
 
-def _differences(row: Row, again: Row) -> tuple[Difference, ...]:
+def _differences(row: Row, repeated: Row) -> tuple[Difference, ...]:
     # What a failing policy said may name a process or the time.
     loose = {*MEASURED, *({"error_text"} if row.outcome == "policy_failed" else ())}
     pairs = [
-        (name, getattr(row, name), getattr(again, name)) for name in COLUMNS if name not in loose
+        (name, getattr(row, name), getattr(repeated, name)) for name in COLUMNS if name not in loose
     ]
     return tuple(
-        Difference(name=name, recorded=_text(was), now=_text(now))
-        for name, was, now in pairs
-        if was != now
+        Difference(name=name, recorded=_text(was), now=_text(value))
+        for name, was, value in pairs
+        if was != value
     )
 
 
 def _logs(
-    row: Row, again: Row, run: RunFolder, now: RunFolder
+    row: Row, repeated: Row, run: RunFolder, repeat_run: RunFolder
 ) -> tuple[Literal["same", "compared", "gone"], dict[Kind, int]]:
     """Compare logs: by their bytes, or else, where both can be read, message by message.
 
     Equal trials make equal bytes. Where a policy lies elsewhere now, or an attempt was repeated,
     what a log says besides differs. Of a log that is gone or damaged, the row knows the digest.
     """
-    recorded, written = log_path(run, row), log_path(now, again)
-    is_known = again.mcap_sha256 != "" and again.mcap_sha256 == row.mcap_sha256
+    recorded, written = log_path(run, row), log_path(repeat_run, repeated)
+    is_known = repeated.mcap_sha256 != "" and repeated.mcap_sha256 == row.mcap_sha256
     there = "" if recorded is None else log_sha256(recorded)
-    if again.mcap_sha256 != there and recorded is not None and written is not None:
+    if repeated.mcap_sha256 != there and recorded is not None and written is not None:
         parted = partings_apart(recorded, written)
         if parted is not None:
             return "compared", parted
-    return ("same" if is_known or there == again.mcap_sha256 != "" else "gone"), {}
+    return ("same" if is_known or there == repeated.mcap_sha256 != "" else "gone"), {}
 
 
 def _text(value: object) -> str:
@@ -217,28 +218,32 @@ _KEPT_AT_WILL = ("/camera/", "/observation/")
 """Topics whose messages are in a log only if its images were kept."""
 
 
-def partings_apart(recorded: Path, now: Path) -> dict[Kind, int] | None:
+def partings_apart(recorded: Path, repeated: Path) -> dict[Kind, int] | None:
     """As `partings`, in a confined process: the recorded log may be anybody's. None if it cannot.
 
     Args:
         recorded: the log of the run.
-        now: the log of the same trial run again.
+        repeated: the log of the same trial run again.
     """
-    rules = Rules(reads=(recorded.resolve(), now.resolve()), seconds=_PROCESSOR_SECONDS)
+    rules = Rules(reads=(recorded.resolve(), repeated.resolve()), seconds=_PROCESSOR_SECONDS)
     try:
         answer = call_isolated(
-            _partings, subject=str(recorded), rules=rules, recorded=str(recorded), now=str(now)
+            _partings,
+            subject=str(recorded),
+            rules=rules,
+            recorded=str(recorded),
+            repeated=str(repeated),
         )
         return TypeAdapter(dict[Kind, int]).validate_python(answer)
     except (NwEvalError, OSError, ValidationError):
         return None
 
 
-def _partings(*, recorded: str, now: str) -> dict[Kind, int]:
-    return partings(Path(recorded), Path(now))
+def _partings(*, recorded: str, repeated: str) -> dict[Kind, int]:
+    return partings(Path(recorded), Path(repeated))
 
 
-def partings(recorded: Path, now: Path) -> dict[Kind, int]:
+def partings(recorded: Path, repeated: Path) -> dict[Kind, int]:
     """Return the first control step, from 0, at which two logs differ, for each kind of content.
 
     Images that only one of them has kept are not compared: that is the recording's choice.
@@ -247,16 +252,16 @@ def partings(recorded: Path, now: Path) -> dict[Kind, int]:
         StoreError: one of them cannot be read.
     """
     control_rate = recorded_rate(LogReader(recorded).metadata().get(VERDICT, {}))
-    was, is_ = _entries(recorded), _entries(now)
-    found: dict[Kind, int] = {}
+    was, is_ = _entries(recorded), _entries(repeated)
+    partings: dict[Kind, int] = {}
     for key in {*was, *is_}:
         kind, topic = key
         if not (key in was and key in is_) and topic.startswith(_KEPT_AT_WILL):
             continue
         if (time_ns := _first_difference(was[key], is_[key])) is not None:
             step = round(time_ns * 1e-9 * control_rate)
-            found[kind] = min(step, found.get(kind, step))
-    return found
+            partings[kind] = min(step, partings.get(kind, step))
+    return partings
 
 
 def _first_difference(was: list[_Entry], is_: list[_Entry]) -> int | None:
@@ -268,11 +273,11 @@ def _first_difference(was: list[_Entry], is_: list[_Entry]) -> int | None:
 
 def _entries(log: Path) -> defaultdict[tuple[Kind, str], list[_Entry]]:
     """Return digests of all messages, by kind and topic."""
-    found: defaultdict[tuple[Kind, str], list[_Entry]] = defaultdict(list)
+    entries: defaultdict[tuple[Kind, str], list[_Entry]] = defaultdict(list)
     for topic, time_ns, message in LogReader(log).messages():
         for kind, content in _contents(topic, message):
-            found[kind, topic].append((time_ns, sha256(content).digest()))
-    return found
+            entries[kind, topic].append((time_ns, sha256(content).digest()))
+    return entries
 
 
 def _contents(topic: str, message: Any) -> Iterator[tuple[Kind, bytes]]:

@@ -80,10 +80,10 @@ class Runs:
                 self._known[key] = self._run(request)
             except NwEvalError as error:
                 self._known[key] = error
-        found = self._known[key]
-        if isinstance(found, NwEvalError):
-            raise found.with_traceback(None)
-        return found
+        known_run = self._known[key]
+        if isinstance(known_run, NwEvalError):
+            raise known_run.with_traceback(None)
+        return known_run
 
     def _run(self, request: Request) -> RunReport:
 
@@ -292,8 +292,8 @@ def verdict_text(judged: RunReport) -> str:
     return _text(judged, [scenes_table(judged.verdict, brief=True)], judged.rows)
 
 
-def scene_text(judged: RunReport, state: SceneState) -> str:
-    """Return what became of one scene, the verdict, and the scene's lines of its tables."""
+def scene_text(judged: RunReport, state: SceneState, *, with_verdict: bool) -> str:
+    """Return the result of one scene, the verdict if asked for, and the scene's table lines."""
     from nw_base.clean import clean
     from nw_eval.reporting.tables.scenes import scenes_table
 
@@ -303,10 +303,13 @@ def scene_text(judged: RunReport, state: SceneState) -> str:
     # The note speaks of all scenes.
     alone = [replace(scenes_table(verdict, brief=True), note="")]
     rows = [row for row in judged.rows if row.scene == state.scene]
-    return f"{clean(state.scene)}: {clean(state.sentence)}\n{_text(judged, alone, rows)}"
+    text = _text(judged, alone, rows, with_verdict=with_verdict)
+    return f"{clean(state.scene)}: {clean(state.sentence)}\n{text}"
 
 
-def _text(judged: RunReport, tables: Sequence[Table], rows: Sequence[Row]) -> str:
+def _text(
+    judged: RunReport, tables: Sequence[Table], rows: Sequence[Row], *, with_verdict: bool = True
+) -> str:
     from rich.console import Console
 
     from nw_eval.reporting.console import draw, print_verdict
@@ -314,7 +317,8 @@ def _text(judged: RunReport, tables: Sequence[Table], rows: Sequence[Row]) -> st
 
     stream = StringIO()
     console = Console(file=stream, width=_WIDTH, force_terminal=False, no_color=True)
-    print_verdict(console, judged.info, judged.rows, judged.verdict)
+    if with_verdict:
+        print_verdict(console, judged.info, judged.rows, judged.verdict)
     ordered = sorted(rows, key=lambda row: row.trial_id)
     for table in (*tables, errors_table(ordered), worst_table(ordered, judged.typed_folder, 3)):
         if table.rows:

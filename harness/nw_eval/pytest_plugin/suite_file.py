@@ -127,7 +127,7 @@ class SuiteItem(pytest.Item):
 
         Dots of a title that a node's id ends with would be shown as `::`.
         """
-        return self.path, self.line - 1, f"{self.suite.name}: {self.name}"
+        return self.path, self.line - 1, f"{self.suite.typed}: {self.name}"
 
     def judged(self) -> RunReport:
         """Return the suite's run; an error of pytest's where it came to no verdict."""
@@ -150,7 +150,7 @@ class SceneItem(SuiteItem):
     def setup(self) -> None:
         """Run the suite if it has not run; a scene without all of its results is an error."""
         from nw_base.clean import clean
-        from nw_eval.pytest_plugin.runs import scene_properties, scene_text
+        from nw_eval.pytest_plugin.runs import scene_properties
         from nw_eval.reporting.scene_states import scene_states
 
         judged = self.judged()
@@ -158,17 +158,21 @@ class SceneItem(SuiteItem):
         self.user_properties += scene_properties(judged, self.state)
         is_invalid = self.state.state == "unjudged" and not self.suite.has_verdict
         if self.state.result == "error" or is_invalid:
-            pytest.fail(scene_text(judged, self.state), pytrace=False)
+            pytest.fail(self._text(judged), pytrace=False)
         if self.state.result == "skipped" and not self._is_blamed(judged):
             pytest.skip(clean(self.state.sentence))
 
     def runtest(self) -> None:
         """Fail if the scene regressed, or shares in what no other test is here to say."""
-        from nw_eval.pytest_plugin.runs import scene_text
-
         judged = self.judged()
         if self.state.result != "passed":
-            pytest.fail(scene_text(judged, self.state), pytrace=False)
+            pytest.fail(self._text(judged), pytrace=False)
+
+    def _text(self, judged: RunReport) -> str:
+        """Return what a failure shows; the verdict only if no test of its own shows it."""
+        from nw_eval.pytest_plugin.runs import scene_text
+
+        return scene_text(judged, self.state, with_verdict=not self.suite.has_verdict)
 
     def _is_blamed(self, judged: RunReport) -> bool:
         """Whether the scenes are worse together, none of them by itself, and no test says so.

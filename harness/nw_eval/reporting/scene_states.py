@@ -110,9 +110,16 @@ def _state(
     elif word == "PASS" and not faults and not _scored_nothing(score, own):
         state, after = "fine", []
     sentence = "; ".join([*before, *_outside(score), _success(score, own), *after])
-    if state == "undecided":
+    if state == "undecided" and _never_ran(score):
+        sentence = f"not run: the verdict was decided without it{_baseline(own)}"
+    elif state == "undecided":
         sentence = f"{'not judged' if word == 'RAN' else 'not decided'}: {sentence}"
     return SceneState(score=score, state=state, sentence=sentence, drops=own)
+
+
+def _never_ran(score: SceneScore) -> bool:
+    """Return whether no trial of a scene ran and none is missing: the run ended early."""
+    return not (score.n or score.errors or score.outside or score.missing)
 
 
 def _scored_nothing(score: SceneScore, drops: Sequence[SceneDrop]) -> bool:
@@ -172,13 +179,17 @@ def _outside(score: SceneScore) -> list[str]:
 
 def _success(score: SceneScore, drops: Sequence[SceneDrop]) -> str:
     """Return what a scene scored, and the baseline in it."""
-    known = [item.baseline for item in drops if item.baseline is not None]
-    baseline = f", baseline {np.mean(known):.3f}" if known and len(known) == len(drops) else ""
     if score.mean is None:
         none = "no trial has a result" if not score.outside else "no other trial has a result"
-        return f"{none}{baseline}"
+        return f"{none}{_baseline(drops)}"
     trials = f"{score.completed} of {plural(score.n, 'trial')}"
-    return f"success {score.mean:.3f}, completed {trials}{baseline}"
+    return f"success {score.mean:.3f}, completed {trials}{_baseline(drops)}"
+
+
+def _baseline(drops: Sequence[SceneDrop]) -> str:
+    """Return what the baseline scored in a scene; empty where that is not known."""
+    known = [item.baseline for item in drops if item.baseline is not None]
+    return f", baseline {np.mean(known):.3f}" if known and len(known) == len(drops) else ""
 
 
 @dataclass(frozen=True, kw_only=True)

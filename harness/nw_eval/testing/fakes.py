@@ -35,9 +35,9 @@ class FakeClock:
 
     def __call__(self) -> float:
         """Return the seconds so far, and move on by a tick."""
-        now = self.seconds
+        seconds = self.seconds
         self.seconds += self.tick
-        return now
+        return seconds
 
     def advance(self, seconds: float) -> None:
         """Let seconds pass."""

@@ -277,14 +277,14 @@ def triangles_of(entity: Any) -> list[tuple[NDArray[np.float32], NDArray[np.uint
     """
     import trimesh
 
-    found: list[tuple[NDArray[np.float32], NDArray[np.uint32], Colour]] = []
+    triangles: list[tuple[NDArray[np.float32], NDArray[np.uint32], Colour]] = []
     for mesh in entity.triangles:
         points = np.array([(p.x, p.y, p.z) for p in mesh.points], np.float64).reshape(-1, 3)
         faces = np.array(mesh.indices, np.int64)
         if faces.size % 3 or (faces.size and faces.max() >= len(points)):
             raise ValueError("a mesh has corners that are not there")
         if faces.size:
-            found.append(_coloured(points, faces.reshape(-1, 3), mesh.color))
+            triangles.append(_coloured(points, faces.reshape(-1, 3), mesh.color))
     solids = (
         (entity.cubes, trimesh.creation.box(extents=(1.0, 1.0, 1.0))),
         (entity.cylinders, trimesh.creation.cylinder(radius=0.5, height=1.0, sections=24)),
@@ -296,8 +296,8 @@ def triangles_of(entity: Any) -> list[tuple[NDArray[np.float32], NDArray[np.uint
             p, q = each.pose.position, each.pose.orientation
             turned = (solid.vertices * size) @ rotation_matrix((q.w, q.x, q.y, q.z)).T
             moved = turned + np.array([p.x, p.y, p.z])
-            found.append(_coloured(moved, solid.faces, each.color))
-    return found
+            triangles.append(_coloured(moved, solid.faces, each.color))
+    return triangles
 
 
 def _coloured(

@@ -105,9 +105,9 @@ class Shelf:
 
     def beside(self, name: str) -> list[str]:
         """Return the other trials of a trial's place, those that come after it first."""
-        here = [other for other in self.logs if self._place(other) == self._place(name)]
-        place = here.index(name)
-        return here[place + 1 :] + here[:place]
+        names = [other for other in self.logs if self._place(other) == self._place(name)]
+        place = names.index(name)
+        return names[place + 1 :] + names[:place]
 
     def _place(self, name: str) -> tuple[str, ...]:
         return self.logs[name].parts[-3:-1]  # Logs from the cache are in a folder of their own.
@@ -167,10 +167,10 @@ def _logs(source: Path) -> dict[str, Path]:
         raise UsageError(f"there is nothing at {source}", fix="name a log or a run's folder")
     folder: RunFolder = open_run_folder(source)
     paths = (path for place in (folder.logs, folder.cached) for path in place.rglob("*.mcap"))
-    found = [path for path in paths if what_is(path) == "file"]
-    if not found:
+    files = [path for path in paths if what_is(path) == "file"]
+    if not files:
         raise UsageError(f"{source} has no logs", fix="name a run that wrote some")
-    return {path.stem: path for path in sorted(found, key=lambda path: path.stem)}
+    return {path.stem: path for path in sorted(files, key=lambda path: path.stem)}
 
 
 def _splat_of(trace: Trace) -> SplatPoints | None:

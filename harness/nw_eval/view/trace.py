@@ -178,10 +178,10 @@ def _poses(
             if each.child_frame_id in rows:
                 p, q = each.translation, each.rotation
                 rows[each.child_frame_id].append((p.x, p.y, p.z, q.w, q.x, q.y, q.z))
-    found = {name: np.array(row) for name, row in rows.items()}
-    if not times or not found or any(len(row) != len(times) for row in found.values()):
+    poses = {name: np.array(row) for name, row in rows.items()}
+    if not times or not poses or any(len(row) != len(times) for row in poses.values()):
         raise ValueError("a body has no pose at some time")
-    return np.array(times), {name: (row[:, :3], row[:, 3:]) for name, row in found.items()}
+    return np.array(times), {name: (row[:, :3], row[:, 3:]) for name, row in poses.items()}
 
 
 def _series(
@@ -189,9 +189,9 @@ def _series(
 ) -> tuple[Series, ...]:
     joints, commands = messages["/robot/joints"], messages["/robot/command"]
     actions = messages["/nw/policy"]
-    found: list[Series] = []
+    series: list[Series] = []
     if joints:
-        found.append(
+        series.append(
             Series(
                 title="Joint angles, rad",
                 times=np.array([time for time, _ in joints]),
@@ -200,7 +200,7 @@ def _series(
             )
         )
     if commands:
-        found.append(
+        series.append(
             Series(
                 title="Command, m/s and rad",
                 times=np.array([time for time, _ in commands]),
@@ -209,7 +209,7 @@ def _series(
             )
         )
     if actions:
-        found.append(
+        series.append(
             Series(
                 title="Action",
                 times=np.array([time for time, _ in actions]),
@@ -217,4 +217,4 @@ def _series(
                 names=elements.get("/nw/policy.action", ()),
             )
         )
-    return tuple(found)
+    return tuple(series)

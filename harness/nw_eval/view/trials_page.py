@@ -279,12 +279,12 @@ class TrialPanel:
 
 def _events_of(traces: Sequence[Trace]) -> list[tuple[float, str]]:
     """Return what happened in the first of the trials, and where the others diverge from it."""
-    found = list(traces[0].events)
+    events = list(traces[0].events)
     for trace in traces[1:]:
         apart = parting(traces[0], trace)
         if apart is not None:
-            found.append((apart, f"parts from {_who(trace, traces[0])}"))
-    return sorted(found, key=itemgetter(0))  # In the log's order where times are the same.
+            events.append((apart, f"parts from {_who(trace, traces[0])}"))
+    return sorted(events, key=itemgetter(0))  # In the log's order where times are the same.
 
 
 def _heading(traces: Sequence[Trace]) -> list[str]:

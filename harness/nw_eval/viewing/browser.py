@@ -263,19 +263,19 @@ def servers_are_guarded(opened: Opened | None = None) -> Generator[list[Answer]]
         What was guarded: it stays empty where the library starts them in another way.
     """
     server: Any = import_module("websockets.asyncio.server")
-    found: list[Answer] = []
+    answers: list[Answer] = []
     serve = server.serve
 
     def guarded_serve(
         handler: Handler, *arguments: Any, process_request: Answer, **options: Any
     ) -> Any:
-        found.append(guarded(process_request, opened))
+        answers.append(guarded(process_request, opened))
         options["logger"] = _quiet_logger()
-        return serve(listening(handler), *arguments, process_request=found[-1], **options)
+        return serve(listening(handler), *arguments, process_request=answers[-1], **options)
 
     server.serve = guarded_serve
     try:
-        yield found
+        yield answers
     finally:
         server.serve = serve
 

@@ -105,22 +105,22 @@ def _of_rows(
     if begun is not None and begun.moved:
         reasons = (*begun.moved, _mend(run, against))
         return replace(by_bar(rows, gate, run.planned), verdict="INVALID", reasons=reasons)
-    found = compare(rows, run, against, gate, power_forecast=True)
+    comparison = compare(rows, run, against, gate, power_forecast=True)
     by_bar = partial(by_bar, drawn=_drawn(rows, run, against, gate))
-    if found.again is not None and found.again.differing:
-        verdict = by_bar(rows, gate, run.planned, against=found)
-        reasons = (*found.again.differing, _mend(run, against))
-        return replace(verdict, verdict="INVALID", reasons=reasons, against=found)
+    if comparison.again is not None and comparison.again.differing:
+        verdict = by_bar(rows, gate, run.planned, against=comparison)
+        reasons = (*comparison.again.differing, _mend(run, against))
+        return replace(verdict, verdict="INVALID", reasons=reasons, against=comparison)
     planned = run.planned
-    if found.again is not None and found.again.taken_over:
+    if comparison.again is not None and comparison.again.taken_over:
         rows = known_rows(run, against.results)
         planned = Counter(row.scene for row in rows)
         by_bar = partial(judge, left_out=run.left_out)
-    verdict = combined(by_bar(rows, gate, planned, against=found), found)
-    return _of_machine(verdict, found, gate) if found.is_own else verdict
+    verdict = combined(by_bar(rows, gate, planned, against=comparison), comparison)
+    return _of_machine(verdict, comparison, gate) if comparison.is_own else verdict
 
 
-def _of_machine(verdict: Verdict, found: Comparison, gate: Gate) -> Verdict:
+def _of_machine(verdict: Verdict, comparison: Comparison, gate: Gate) -> Verdict:
     """Return the verdict on a baseline's own policy with other bits: no REGRESSED but INVALID.
 
     The policy is the same, so that a drop is the machine's or the version's. It stays REGRESSED
@@ -128,13 +128,13 @@ def _of_machine(verdict: Verdict, found: Comparison, gate: Gate) -> Verdict:
     """
     if verdict.verdict != "REGRESSED":
         return verdict
-    if found.word == "REGRESSED":
+    if comparison.word == "REGRESSED":
         return replace(verdict, verdict="INVALID")
-    if gate.success_rate is not None and found.baseline < gate.success_rate:
+    if gate.success_rate is not None and comparison.baseline < gate.success_rate:
         return verdict
     why = (
-        f"baseline {found.baseline_name} has success {found.baseline:.3f} for the same policy: "
-        "this machine or version changed, not the policy"
+        f"baseline {comparison.baseline_name} has success {comparison.baseline:.3f} for the same "
+        "policy: this machine or version changed, not the policy"
     )
     return replace(verdict, verdict="INVALID", reasons=(why, *verdict.reasons))
 

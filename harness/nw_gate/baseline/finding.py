@@ -54,8 +54,10 @@ class Met:
     def places(self, judged: Sequence[Stratum]) -> Places:
         """Return the positions of the trials of some strata, in order, shape (T,)."""
         which = set(judged)
-        found = [index for index, (*stratum, _) in enumerate(self.order) if tuple(stratum) in which]
-        return np.array(found, dtype=np.intp)
+        indices = [
+            index for index, (*stratum, _) in enumerate(self.order) if tuple(stratum) in which
+        ]
+        return np.array(indices, dtype=np.intp)
 
     def ended(self, places: Iterable[int]) -> list[bool]:
         """Return whether each trial has ended, in both arms where there is a control."""
@@ -104,12 +106,12 @@ class Met:
         Beside a control means are of whole pairs, as the drop is: if the starts from which the
         candidate left counted for the control alone, means would be of other starts on each side.
         """
-        found = [
+        values = [
             self._score(self.rows[place]) if self._is_whole(place) else nan
             for place in sorted(places)
             if self.order[place][:2] == stratum
         ]
-        return np.array(found, dtype=np.float64)
+        return np.array(values, dtype=np.float64)
 
     def of(self, stratum: Stratum, places: Collection[int]) -> list[Row]:
         """Return the rows of a stratum among some positions that have a result which counts."""
@@ -122,8 +124,8 @@ class Met:
     def _whole(
         self, rows: Sequence[Row | None], stratum: Stratum, places: Collection[int]
     ) -> list[Row]:
-        found = (place for place in sorted(places) if self.order[place][:2] == stratum)
-        return [row for place in found if self._is_whole(place) and (row := rows[place])]
+        wanted = (place for place in sorted(places) if self.order[place][:2] == stratum)
+        return [row for place in wanted if self._is_whole(place) and (row := rows[place])]
 
     def _is_whole(self, index: int) -> bool:
         """Return whether a trial has a result that counts, and its control's has one, too."""
@@ -166,7 +168,7 @@ def by_place(
         StoreError: a row is not of this run, or appears twice.
     """
     places = {start: place for place, start in enumerate(order)}
-    found: list[Row | None] = [None] * len(order)
+    by_index: list[Row | None] = [None] * len(order)
     whose = run.policy.checkpoint_digest
     for row in rows:
         if row.scene not in run.scenes:
@@ -178,12 +180,12 @@ def by_place(
         place = places.get((row.scene, row.perturbation, row.seed_index))
         if place is None:
             continue
-        if found[place] is not None:
+        if by_index[place] is not None:
             raise StoreError(
                 f"trial {row.trial_id} appears twice among the rows", fix="keep one row of a trial"
             )
-        found[place] = row
-    return found
+        by_index[place] = row
+    return by_index
 
 
 def _foreign(row: Row, why: str) -> StoreError:

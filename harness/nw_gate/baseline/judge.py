@@ -93,8 +93,8 @@ class ComparisonSetup:
             return self
         has_others = met_others(self.run, self.results)
         if not has_others:
-            again = recheck(done, self.run, self.results)
-            if again.equal or again.differing:
+            repeat = recheck(done, self.run, self.results)
+            if repeat.equal or repeat.differing:
                 return self
         self.check_comparable()
         return replace(self, basis="fresh" if has_others else "panel", is_own=True)
@@ -406,7 +406,7 @@ def _waypoints(
     """
     pairs = {stratum: _ends(stratum, met, used, panel) for stratum in strata}
     known = {stratum: pair for stratum, pair in pairs.items() if pair is not None}
-    return {stratum: found.waypoint for stratum, found in first_partings(known).items()}
+    return {stratum: partings.waypoint for stratum, partings in first_partings(known).items()}
 
 
 def _ends(
@@ -428,81 +428,85 @@ _NONE_LEFT = "this run has no trial of these scenes left"
 _NAMED = 3  # scenes that a reason names before it says "and more"
 
 
-def _in_words(found: Comparison, finding: Finding) -> tuple[str, ...]:
+def _in_words(comparison: Comparison, finding: Finding) -> tuple[str, ...]:
     """Return why a comparison says what it says, and of what it speaks: the main reason first.
 
     Args:
-        found: the comparison.
+        comparison: with the baseline.
         finding: what it rests on.
     """
-    if found.basis == "same":
-        again = found.again
-        if again is None:
-            return (f"same policy as baseline {found.baseline_name}: nothing to compare",)
-        return (f"same policy as baseline {found.baseline_name}: {again.in_words}",)
-    fallen, mean = _fallen(found), _mean(found)
-    if found.is_own and found.word == "REGRESSED":
-        mean = _moved(found)
-    by_scenes_alone = found.word == "REGRESSED" and not found.mean_regressed
+    if comparison.basis == "same":
+        repeat = comparison.again
+        if repeat is None:
+            return (f"same policy as baseline {comparison.baseline_name}: nothing to compare",)
+        return (f"same policy as baseline {comparison.baseline_name}: {repeat.in_words}",)
+    fallen, mean = _fallen(comparison), _mean(comparison)
+    if comparison.is_own and comparison.word == "REGRESSED":
+        mean = _moved(comparison)
+    by_scenes_alone = comparison.word == "REGRESSED" and not comparison.mean_regressed
     return (
         *((*fallen, mean) if by_scenes_alone else (mean, *fallen)),
-        *_largest(found),
-        *_waiting(found, finding),
-        *_limits(found),
+        *_largest(comparison),
+        *_waiting(comparison, finding),
+        *_limits(comparison),
     )
 
 
-def _mean(found: Comparison) -> str:
+def _mean(comparison: Comparison) -> str:
     """Return what was found of the mean."""
     name, drops, trials = (
-        f"baseline {found.baseline_name}",
-        found.interval,
-        plural(found.trials, "trial"),
+        f"baseline {comparison.baseline_name}",
+        comparison.interval,
+        plural(comparison.trials, "trial"),
     )
-    if not found.trials or found.drop is None:
+    if not comparison.trials or comparison.drop is None:
         return f"no trial has been compared with {name} yet"
-    drop = f"estimated drop from {name}: {found.drop:z.3f} ({trials})"
-    if found.drop < 0.0:
-        drop = f"estimated gain over {name}: {-found.drop:.3f} ({trials})"
+    drop = f"estimated drop from {name}: {comparison.drop:z.3f} ({trials})"
+    if comparison.drop < 0.0:
+        drop = f"estimated gain over {name}: {-comparison.drop:.3f} ({trials})"
     if drops is None:
         return drop
-    most = f"{percent_sure(found.alpha_pass)} confidence"
-    if found.word == "PASS":
-        worst = f"{_at_most(drops, found)} than {name} ({most}, {trials})"
-        return f"{worst}; max_drop is {found.max_drop:g}"
-    if found.mean_regressed:
-        least = f"{percent_sure(found.alpha_regr)} confidence, {trials}"
+    most = f"{percent_sure(comparison.alpha_pass)} confidence"
+    if comparison.word == "PASS":
+        worst = f"{_at_most(drops, comparison)} than {name} ({most}, {trials})"
+        return f"{worst}; max_drop is {comparison.max_drop:g}"
+    if comparison.mean_regressed:
+        least = f"{percent_sure(comparison.alpha_regr)} confidence, {trials}"
         worse = f"mean success is at least {drops.low:z.3f} worse"
-        if float(f"{drops.low:.3f}") <= found.tolerate:  # Rounded it would contradict the verdict.
-            worse = f"mean success is more than {found.tolerate:g} worse"
-        return f"{worse} than {name} ({least}); tolerate is {found.tolerate:g}"
-    if drops.high < found.max_drop:
-        return f"{drop}; {_at_most(drops, found)} ({most}), max_drop is {found.max_drop:g}"
-    gains = found.drop < 0.0
-    change = f"{'gain' if gains else 'drop'} {abs(found.drop):.3f} ({trials})"
+        # Rounded it would contradict the verdict.
+        if float(f"{drops.low:.3f}") <= comparison.tolerate:
+            worse = f"mean success is more than {comparison.tolerate:g} worse"
+        return f"{worse} than {name} ({least}); tolerate is {comparison.tolerate:g}"
+    if drops.high < comparison.max_drop:
+        return (
+            f"{drop}; {_at_most(drops, comparison)} ({most}), max_drop is {comparison.max_drop:g}"
+        )
+    gains = comparison.drop < 0.0
+    change = f"{'gain' if gains else 'drop'} {abs(comparison.drop):.3f} ({trials})"
     high = ""
-    if found.known_high is not None:
-        high = f", {'a drop of ' if gains else ''}at most {found.known_high:z.3f} ({most})"
+    if comparison.known_high is not None:
+        high = f", {'a drop of ' if gains else ''}at most {comparison.known_high:z.3f} ({most})"
     return f"the comparison with {name} is undecided: estimated {change}{high}"
 
 
-def _at_most(drops: Interval, found: Comparison) -> str:
+def _at_most(drops: Interval, comparison: Comparison) -> str:
     """Return how much worse the candidate is at most."""
     if drops.high <= 0.0:
         return "no worse"
-    if float(f"{drops.high:.3f}") >= found.max_drop:  # Rounded it would contradict the verdict.
-        return f"less than {found.max_drop:g} worse"
+    # Rounded it would contradict the verdict.
+    if float(f"{drops.high:.3f}") >= comparison.max_drop:
+        return f"less than {comparison.max_drop:g} worse"
     return f"at most {max(drops.high, 0.001):.3f} worse"
 
 
-def _moved(found: Comparison) -> str:
+def _moved(comparison: Comparison) -> str:
     """Return what was found of a machine or version on which the baseline's policy scores less."""
-    assert found.drop is not None, "something was found"
-    span = "" if found.interval is None else f", {_range(found.interval)},"
+    assert comparison.drop is not None, "something was found"
+    span = "" if comparison.interval is None else f", {_range(comparison.interval)},"
     return (
-        f"this machine or version scores {found.drop:.3f} less than baseline "
-        f"{found.baseline_name}{span} ({plural(found.trials, 'trial')} of the same policy): no "
-        "candidate can be judged here; find what changed, or save the baseline again"
+        f"this machine or version scores {comparison.drop:.3f} less than baseline "
+        f"{comparison.baseline_name}{span} ({plural(comparison.trials, 'trial')} of the same "
+        "policy): no candidate can be judged here; find what changed, or save the baseline again"
     )
 
 
@@ -510,10 +514,10 @@ def _range(drops: Interval) -> str:
     return f"{drops.low:z.3f} to {drops.high:z.3f}"
 
 
-def _fallen(found: Comparison) -> tuple[str, ...]:
+def _fallen(comparison: Comparison) -> tuple[str, ...]:
     """Return which scenes regressed, whatever the word; those that flag first."""
     order = {"critical": 0, "supporting": 1, "informational": 2}
-    named = [item for item in found.scenes if item.named]
+    named = [item for item in comparison.scenes if item.named]
     named.sort(key=lambda item: (order[item.tier], -item.evidence, item.name))
     shown = tuple(_fell(item) for item in named[:_NAMED])
     if len(named) > _NAMED:
@@ -529,11 +533,11 @@ def _fell(item: SceneDrop) -> str:
     return f"{which} {item.name} regressed: {_change(item)}"
 
 
-def _largest(found: Comparison) -> Iterable[str]:
+def _largest(comparison: Comparison) -> Iterable[str]:
     """Return where a policy that the mean flags seems worst, if no scene flags alone."""
-    if not found.mean_regressed or any(item.named for item in found.scenes):
+    if not comparison.mean_regressed or any(item.named for item in comparison.scenes):
         return
-    lower = [item for item in found.scenes if item.counts and item.drop and item.drop > 0.0]
+    lower = [item for item in comparison.scenes if item.counts and item.drop and item.drop > 0.0]
     lower.sort(key=lambda item: (-item.evidence, item.name))
     if lower:
         worst = "; ".join(f"{item.name} {_change(item)}" for item in lower[:_NAMED])
@@ -545,8 +549,8 @@ def _change(item: SceneDrop) -> str:
     return f"{item.baseline:.2f} -> {item.candidate:.2f}{onwards}"
 
 
-def _waiting(found: Comparison, finding: Finding) -> Iterable[str]:
-    waited = [item for item in found.scenes if item.stratum in finding.waits_for]
+def _waiting(comparison: Comparison, finding: Finding) -> Iterable[str]:
+    waited = [item for item in comparison.scenes if item.stratum in finding.waits_for]
     suspect = [item.name for item in waited if item.evidence >= SUSPECT]
     critical = [item.name for item in waited if item.evidence < SUSPECT]
     if suspect:
@@ -565,38 +569,38 @@ def _scenes_named(names: Sequence[str]) -> str:
     return f"{'scenes' if several else 'scene'} {_listed(names)} {'need' if several else 'needs'}"
 
 
-def _limits(found: Comparison) -> Iterable[str]:
+def _limits(comparison: Comparison) -> Iterable[str]:
     """Return of which starts it speaks, and what was left out."""
-    if found.claim == "panel":
+    if comparison.claim == "panel":
         yield (
-            f"gate.claim is panel: this applies to the baseline's {found.starts} initial states in "
-            "each scene, not to new ones"
+            f"gate.claim is panel: this applies to the baseline's {comparison.starts} initial "
+            "states in each scene, not to new ones"
         )
-    if found.basis == "control":
+    if comparison.basis == "control":
         yield (
             "this machine computes slightly different results from the one that saved the "
-            f"baseline, so the candidate is compared with {plural(found.control, 'trial')} of "
-            f"{found.policy} that ran here from the same initial states; "
+            f"baseline, so the candidate is compared with {plural(comparison.control, 'trial')} of "
+            f"{comparison.policy} that ran here from the same initial states; "
             "`nw-eval baseline save` on this machine saves that time"
         )
-    if found.control_drop is not None:
-        drop, drops = found.control_drop
+    if comparison.control_drop is not None:
+        drop, drops = comparison.control_drop
         change = f"{drop:.3f} less" if drop >= 0.0 else f"{-drop:.3f} more"
-        yield (f"here {found.policy} scores {change} than the baseline says ({_range(drops)})")
-    if found.is_own and found.again is not None:
+        yield (f"here {comparison.policy} scores {change} than the baseline says ({_range(drops)})")
+    if comparison.is_own and comparison.again is not None:
         yield (
             "the policy is the baseline's own, but this machine or version computes different "
-            f"results ({plural(found.again.ran, 'trial')} re-run): its trials are compared with "
-            "the baseline's like those of a new policy"
+            f"results ({plural(comparison.again.ran, 'trial')} re-run): its trials are compared "
+            "with the baseline's like those of a new policy"
         )
-    unmet = [item.name for item in found.scenes if item.counts and not item.trials]
-    if found.word == "PASS" and unmet:
+    unmet = [item.name for item in comparison.scenes if item.counts and not item.trials]
+    if comparison.word == "PASS" and unmet:
         yield (
             f"PASS is for the mean of all scenes: no trial ran in {_listed(unmet)}; a critical "
             f"scene gets {CRITICAL_TRIALS} trials before a PASS (gate.tiers)"
         )
-    if found.left_aside:
-        left_aside = plural(found.left_aside, "scene")
+    if comparison.left_aside:
+        left_aside = plural(comparison.left_aside, "scene")
         yield f"only a part of the suite was run: {left_aside} of the baseline not compared"
 
 
@@ -606,7 +610,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _power_forecast(
-    found: Comparison, met: Met, judged: Sequence[Stratum], panel: Panel, gate: Gate
+    comparison: Comparison, met: Met, judged: Sequence[Stratum], panel: Panel, gate: Gate
 ) -> tuple[Forecast, str | None]:
     """Simulate what a comparison leaves open.
 
@@ -615,27 +619,29 @@ def _power_forecast(
         and about how many more trials would settle it, None where it is settled.
 
     Args:
-        found: the comparison.
+        comparison: with the baseline.
         met: trials of the candidate, and those that may be run beyond the budget.
         judged: strata that count, in the order of the seed set.
         panel: of the baseline, in the scenes of the run.
         gate: margins, errors and tiers.
     """
-    against = "control" if found.basis == "control" else found.claim
-    outset = outset_of_baseline(panel, gate, budget=found.budget, against=against)
-    is_open = found.word == "INCONCLUSIVE" and found.trials > 0
-    more = _more(met, judged, panel, found, outset) if is_open else None
+    against = "control" if comparison.basis == "control" else comparison.claim
+    outset = outset_of_baseline(panel, gate, budget=comparison.budget, against=against)
+    is_open = comparison.word == "INCONCLUSIVE" and comparison.trials > 0
+    more = _more(met, judged, panel, comparison, outset) if is_open else None
     return outset.power_forecast(), more
 
 
 def _more(
-    met: Met, judged: Sequence[Stratum], panel: Panel, found: Comparison, outset: Outset
+    met: Met, judged: Sequence[Stratum], panel: Panel, comparison: Comparison, outset: Outset
 ) -> str:
     rules = outset.rules
-    reference = reference_of(panel, judged, found.basis, found.claim, margins=rules.margins)
+    reference = reference_of(
+        panel, judged, comparison.basis, comparison.claim, margins=rules.margins
+    )
     progress = progress_from(
         reference,
-        numbers_of(met, judged, panel, found.basis, reference),
+        numbers_of(met, judged, panel, comparison.basis, reference),
         rules,
         known=met.ended(met.places(judged).tolist()),
         seen=outset.seen,

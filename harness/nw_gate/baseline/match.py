@@ -329,14 +329,14 @@ def draw_fresh(
 ) -> list[DrawnStart]:
     """Return as `draw_trials` does trials 0, 1, ... of each stratum: unused starts."""
     met = dict.fromkeys(strata, 0)
-    found: list[DrawnStart] = []
+    drawn: list[DrawnStart] = []
     most = max(_FRESH, rounds)
     for scene, cell, _ in draw_trials(
         strata, most, rounds, candidate=candidate, suite_digest=suite_digest
     ):
-        found.append((scene, cell, met[scene, cell]))
+        drawn.append((scene, cell, met[scene, cell]))
         met[scene, cell] += 1
-    return found
+    return drawn
 
 
 def draw_rounds(
@@ -526,12 +526,12 @@ def contradictions(rows: Iterable[Row], baseline: BaselineResults, panel: Panel)
         StoreError: a row is of no initial state of the baseline.
     """
     same = [row for row in rows if trajectory(row) == _start_of(row, panel).trajectory]
-    found = differences(same, panel)
-    if not found:
+    sentences = differences(same, panel)
+    if not sentences:
         return ()
     own = baseline.manifest.policy.name
     first = f"the baseline is not what its own policy {own} does: the same bits, other results"
-    return (first, *found[:_NAMED])
+    return (first, *sentences[:_NAMED])
 
 
 def differences(rows: Iterable[Row], panel: Panel) -> tuple[str, ...]:
@@ -544,13 +544,13 @@ def differences(rows: Iterable[Row], panel: Panel) -> tuple[str, ...]:
     Raises:
         StoreError: a row is of no initial state of the baseline.
     """
-    found: list[tuple[Start, str]] = []
+    sentences: list[tuple[Start, str]] = []
     for row in rows:
         start = _start_of(row, panel)
         if (text := difference(row, start)) is not None:
-            found.append((start, text))
-    found.sort(key=lambda item: (item[0].stratum, item[0].seed_index))
-    return tuple(text for _, text in found)
+            sentences.append((start, text))
+    sentences.sort(key=lambda item: (item[0].stratum, item[0].seed_index))
+    return tuple(text for _, text in sentences)
 
 
 def difference(row: Row, start: Start) -> str | None:
@@ -561,16 +561,20 @@ def difference(row: Row, start: Start) -> str | None:
         start: what the baseline says of it.
     """
     pairs = [(name, getattr(start, name), getattr(row, name)) for name in FROM_START]
-    parts = [f"{name} {now}, the baseline's {then}" for name, then, now in pairs if then != now]
+    parts = [
+        f"{name} {measured}, the baseline's {recorded}"
+        for name, recorded, measured in pairs
+        if recorded != measured
+    ]
     if not parts and trajectory(row) != start.trajectory:
         parts = [f"bits {trajectory(row)}, the baseline's {start.trajectory}"]
     elif not parts:
         # Of the same states, but sums of them may end in other bits on another CPU.
         said = dict(start.scores)
         parts = [
-            f"{name} {now:g}, the baseline's {said[name]:g}"
-            for name, now in row.scores
-            if name in said and not math.isclose(now, said[name], rel_tol=1e-9, abs_tol=1e-12)
+            f"{name} {measured:g}, the baseline's {said[name]:g}"
+            for name, measured in row.scores
+            if name in said and not math.isclose(measured, said[name], rel_tol=1e-9, abs_tol=1e-12)
         ]
     if not parts:
         return None

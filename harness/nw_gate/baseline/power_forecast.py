@@ -139,12 +139,12 @@ def outset_of_baseline(
     Raises:
         IncomparableError: no scene of the baseline counts, or its success is not above max_drop.
     """
-    starts = min(len(found) for found in panel.by_stratum.values())
-    found = _outset(panel.by_stratum, gate, starts, known=True)
-    pairs = starts * found.scenes
+    starts = min(len(outset) for outset in panel.by_stratum.values())
+    outset = _outset(panel.by_stratum, gate, starts, known=True)
+    pairs = starts * outset.scenes
     return replace(
-        found,
-        budget=found.budget if budget is None else min(budget, pairs),
+        outset,
+        budget=outset.budget if budget is None else min(budget, pairs),
         against=against,
     )
 
@@ -170,14 +170,14 @@ def outset_of_rows(rows: Iterable[Row], gate: Gate, starts: int) -> Outset:
     return _outset(groups, gate, starts, known=False)
 
 
-def in_a_sentence(found: Forecast, budget: int) -> str:
+def in_a_sentence(forecast: Forecast, budget: int) -> str:
     """Return what `Outset.power_forecast` found in words: the power of the gate, as ranges.
 
     Args:
-        found: of policies that fail in one way each.
+        forecast: of policies that fail in one way each.
         budget: most trials of scenes that count.
     """
-    same, half, worse = found
+    same, half, worse = forecast
     flags = [
         f"a {p[0].drop:.2g} regression in {_shares([x.regressed for x in p])}"
         for p in (worse, half)

@@ -77,22 +77,22 @@ def with_scores(
     if against is not None and verdict.against is not None and asked:
         setup = setup_of(run, against, gate).on(rows)
     met = None if setup is None else setup.met(rows)
-    found = tuple(
+    findings = tuple(
         _finding(spec, gate.scores.get(name), rows, verdict, gate, setup, met)
         for name, spec in run.scores.items()
     )
-    verdict = replace(verdict, scores=found)
+    verdict = replace(verdict, scores=findings)
     if verdict.verdict in {"INFRASTRUCTURE", "INVALID"}:
         return verdict
     word = verdict.verdict
-    for item in found:
+    for item in findings:
         if item.word is not None:
             word = worse(word, item.word)
-    judged = [item for item in found if item.word is not None]
+    judged = [item for item in findings if item.word is not None]
     verdict = without_unjudged(verdict) if judged else verdict
     judged.sort(key=lambda item: _ORDER.index(item.word or "PASS"), reverse=True)
     told = [reason for item in judged for reason in item.reasons]
-    told += [reason for item in found if item.word is None for reason in item.reasons]
+    told += [reason for item in findings if item.word is None for reason in item.reasons]
     return reworded(verdict, word, told)
 
 
@@ -168,7 +168,7 @@ def _finding(
     high = upper_bound(_arrays(best), 1.0 - (1.0 - gate.confidence) / gate.shared)
     mean = float(np.mean([np.mean(each) for each in scenes.values()])) if scenes else None
     ends = sorted((spec.unscaled(low), spec.unscaled(high)))
-    found = ScoreFinding(
+    finding = ScoreFinding(
         spec=spec,
         trials=sum(map(len, scenes.values())),
         undefined=undefined,
@@ -180,7 +180,7 @@ def _finding(
         max_drop=None if asked is None else asked.max_drop,
     )
     if asked is None:
-        return found
+        return finding
     words: list[Word] = []
     reasons: list[str] = []
     if asked.bar is not None:
@@ -191,7 +191,7 @@ def _finding(
             words.append("REGRESSED")
             reasons += alone
     if asked.max_drop is not None and setup is not None and met is not None:
-        word, reason, found = _by_baseline(found, asked, asked.max_drop, gate, setup, met)
+        word, reason, finding = _by_baseline(finding, asked, asked.max_drop, gate, setup, met)
         words.append(word)
         reasons.append(reason)
     elif asked.max_drop is not None:
@@ -202,7 +202,7 @@ def _finding(
     if len(words) == len(reasons):  # What decided comes first.
         ranked = sorted(zip(words, reasons, strict=True), key=lambda x: -_ORDER.index(x[0]))
         reasons = [reason for _, reason in ranked]
-    return replace(found, word=word, reasons=tuple(reasons))
+    return replace(finding, word=word, reasons=tuple(reasons))
 
 
 def lacks_score(baseline: BaselineResults, name: str) -> str:
@@ -247,19 +247,19 @@ def _below_alone(
     """Return a sentence for each critical scene that is beyond the bar by itself."""
     critical = [item.scene for item in verdict.per_scene if gate.tier(item.scene) == "critical"]
     alpha = (1.0 - gate.confidence) / (max(1, len(critical)) * gate.shared)
-    found: list[str] = []
+    sentences: list[str] = []
     for scene in critical:
         if not best.get(scene):
             continue
         high = upper_bound(_arrays({scene: best[scene]}), 1.0 - alpha)
         if high < spec.scaled(bar):
             most, unit = "at most" if spec.better == "higher" else "at least", spec.unit
-            found.append(
+            sentences.append(
                 f"critical scene {scene} alone: {spec.name} is {most} {spec.unscaled(high):.4g}"
                 f"{' ' if unit else ''}{unit} ({percent_sure(alpha)} confidence), the bar is "
                 f"{bar:g}"
             )
-    return found
+    return sentences
 
 
 def _between(low: float, high: float) -> str:
@@ -288,7 +288,7 @@ def _fallen_alone(
     own = seen.at(np.flatnonzero(np.isin(seen.scenes, critical)).tolist())
     drops = scene_drop_intervals(reference, own, alpha_pass=1.0 - gate.confidence, alpha_regr=alpha)
     unit = f" {spec.unit}" if spec.unit else ""
-    found: list[str] = []
+    sentences: list[str] = []
     for place in critical:
         low = drops[place].low * spec.width
         if low <= max_drop:
@@ -298,17 +298,17 @@ def _fallen_alone(
         there = own.at(np.flatnonzero(own.scenes == place).tolist())
         before = there.baseline if reference.paired else reference.means[there.scenes]
         pairs = ~np.isnan(before - there.candidate)
-        was, now = (spec.unscaled(float(each[pairs].mean())) for each in (before, there.candidate))
-        found.append(
+        was, mean = (spec.unscaled(float(each[pairs].mean())) for each in (before, there.candidate))
+        sentences.append(
             f"critical scene {name} alone: {spec.name} "
-            f"{was:.4g} -> {now:.4g}{unit} in {plural(int(pairs.sum()), 'trial')}, at least "
+            f"{was:.4g} -> {mean:.4g}{unit} in {plural(int(pairs.sum()), 'trial')}, at least "
             f"{low:.4g} worse ({percent_sure(alpha)} confidence), max_drop {max_drop:g}"
         )
-    return found
+    return sentences
 
 
 def _by_baseline(
-    found: ScoreFinding,
+    finding: ScoreFinding,
     asked: ScoreGate,
     max_drop: float,
     gate: Gate,
@@ -316,13 +316,13 @@ def _by_baseline(
     met: Met,
 ) -> tuple[Word, str, ScoreFinding]:
     """Return what the trials say of a score's change against the baseline."""
-    spec = found.spec
+    spec = finding.spec
     name, unit = spec.name, f" {spec.unit}" if spec.unit else ""
     if setup.basis != "control" and name not in setup.results.manifest.scores:
         why = f"{lacks_score(setup.results, name)}: save it again with "
-        return "INVALID", f"{why}`{renewing(setup.run, setup.results)}`", found
+        return "INVALID", f"{why}`{renewing(setup.run, setup.results)}`", finding
     if setup.basis == "same":
-        return "PASS", f"{name}: same policy as the baseline, nothing to compare", found
+        return "PASS", f"{name}: same policy as the baseline, nothing to compare", finding
     value = partial(counted, spec=spec)
     met, judged = replace(met, counted=value), setup.judged
     reference = reference_of(setup.panel, judged, setup.basis, setup.claim, value)
@@ -332,7 +332,7 @@ def _by_baseline(
     known = seen.baseline if reference.paired else reference.means[seen.scenes]
     pairs = ~np.isnan(known - seen.candidate)
     if not pairs.any():
-        return "INCONCLUSIVE", f"{name}: no trial has been compared with the baseline", found
+        return "INCONCLUSIVE", f"{name}: no trial has been compared with the baseline", finding
     level = (
         float(known[pairs].mean())
         if reference.paired
@@ -343,7 +343,7 @@ def _by_baseline(
             f"{name}: no policy can be worse than the baseline's {spec.unscaled(level):.4g}{unit} "
             f"by {max_drop:g}, so near is the end of its range: lower max_drop"
         )
-        return "INVALID", reason, found
+        return "INVALID", reason, finding
     alpha_pass, alpha_regr = 1.0 - gate.confidence, gate.false_alarm / gate.shared
     drops = drop_interval_after(
         reference,
@@ -353,31 +353,31 @@ def _by_baseline(
         # Within a round the order of scenes is fixed, and a bet that learns would know it.
         learns=not setup.goes_by_rounds,
     )
-    now = float(seen.candidate[pairs].mean())
+    mean = float(seen.candidate[pairs].mean())
     drop = float((known - seen.candidate)[pairs].mean()) * spec.width
     low, high = drops.low * spec.width, drops.high * spec.width
-    found = replace(
-        found,
+    finding = replace(
+        finding,
         baseline=spec.unscaled(level),
         drop=drop,
         drops=Interval(low, high),
     )
     change = (
-        f"{name} {spec.unscaled(level):.4g} -> {spec.unscaled(now):.4g}{unit} in "
+        f"{name} {spec.unscaled(level):.4g} -> {spec.unscaled(mean):.4g}{unit} in "
         f"{plural(int(pairs.sum()), 'trial')}, max_drop {max_drop:g}"
     )
     if alone := _fallen_alone(spec, max_drop, gate, judged, reference, seen):
-        return "REGRESSED", "; ".join((*alone, change)), found
+        return "REGRESSED", "; ".join((*alone, change)), finding
     if high < max_drop:
         sure = percent_sure(alpha_pass)
-        return "PASS", f"{change}: at most {max(high, 0.0):.4g} worse ({sure} confidence)", found
+        return "PASS", f"{change}: at most {max(high, 0.0):.4g} worse ({sure} confidence)", finding
     if low > asked.tolerated:
         sure = percent_sure(alpha_regr)
-        return "REGRESSED", f"{change}: at least {low:.4g} worse ({sure} confidence)", found
+        return "REGRESSED", f"{change}: at least {low:.4g} worse ({sure} confidence)", finding
     return (
         "INCONCLUSIVE",
         f"{change}: too few trials to decide, {_between(low, high)}",
-        found,
+        finding,
     )
 
 
@@ -420,7 +420,7 @@ def forecast_scores(
     """
     panel = baseline.panels[0]
     judged = strata_that_count(tuple(panel.by_stratum), gate)
-    found: list[ScoreForecast] = []
+    forecasts: list[ScoreForecast] = []
     for name, asked in gate.scores.items():
         if asked.max_drop is None or name not in baseline.manifest.scores or not judged:
             continue
@@ -429,7 +429,7 @@ def forecast_scores(
             [scores_of(panel, stratum, partial(counted, spec=spec)) for stratum in judged]
         )
         known = Reference.of(values).fresh()
-        rng = np.random.Generator(np.random.PCG64(len(found)))
+        rng = np.random.Generator(np.random.PCG64(len(forecasts)))
         total = gate.rounds_for(len(judged), baseline.manifest.starts) * len(judged)
         points: list[tuple[float, float, float]] = []
         changes = sorted({asked.tolerated, *(share * asked.max_drop for share in _CHANGES)})
@@ -439,7 +439,7 @@ def forecast_scores(
                 for _ in range(_GATES)
             ]
             points.append((change, words.count("PASS") / _GATES, words.count("REGRESSED") / _GATES))
-        found.append(
+        forecasts.append(
             ScoreForecast(
                 spec=spec,
                 level=spec.unscaled(float(known.means.mean())),
@@ -450,7 +450,7 @@ def forecast_scores(
                 points=tuple(points),
             )
         )
-    return tuple(found)
+    return tuple(forecasts)
 
 
 def _simulated(

@@ -169,10 +169,10 @@ class Limit:
             text = f"fewer than {share} at {says(high.value)}, no lower bound"
         else:
             text = f"no rung is shown to be over or under {share}"
-        found = f"{self.ladder.name}: {text}; {plural(len(self.trials), 'trial')}"
+        sentence = f"{self.ladder.name}: {text}; {plural(len(self.trials), 'trial')}"
         if not self.decided:
-            found += f", undecided at a width of {plural(self.width, 'rung')}"
-        return f"{found}. {self.dip_sentence}".rstrip()
+            sentence += f", undecided at a width of {plural(self.width, 'rung')}"
+        return f"{sentence}. {self.dip_sentence}".rstrip()
 
     @property
     def dip_sentence(self) -> str:

@@ -121,10 +121,10 @@ class TrialPath(ABC):
         Args:
             count: how many, at most; trials that are running are among them.
         """
-        found: list[LimitTrial] = []
+        trials: list[LimitTrial] = []
         heap: list[tuple[float, int, Wealth]] = [(-1.0, 0, self._wealth)]
         looks = 0
-        while heap and len(found) < count and looks < _LOOKS * count:
+        while heap and len(trials) < count and looks < _LOOKS * count:
             chance, _, wealth = heappop(heap)
             beliefs = self._beliefs(wealth)
             rung = self._choose(wealth, beliefs)
@@ -132,8 +132,8 @@ class TrialPath(ABC):
                 continue
             trial, looks = self._trial(wealth, rung), looks + 1
             known = self._results.get(trial)
-            if known is None and trial not in found:
-                found.append(trial)
+            if known is None and trial not in trials:
+                trials.append(trial)
             rate = float(beliefs.rate[0, rung])
             for done, share in ((True, rate), (False, 1.0 - rate)):
                 if known is None or known == done:
@@ -141,7 +141,7 @@ class TrialPath(ABC):
                     self._take(after, beliefs, rung, done)
                     weight = chance * (share if known is None else 1.0)
                     heappush(heap, (weight, 2 * looks + done, after))
-        return tuple(found)
+        return tuple(trials)
 
     @abstractmethod
     def _choose(self, wealth: Wealth, beliefs: Beliefs) -> int | None:

@@ -76,10 +76,10 @@ class Search:
 
 def gains(beliefs: Beliefs, share: float) -> tuple[Array, Array]:
     """Return what a trial gains for "cleared" and for "not cleared" at each rung, both (B, n)."""
-    found: list[Array] = []
+    gains: list[Array] = []
     for given, sign in ((beliefs.if_cleared, 1.0), (beliefs.if_not, -1.0)):
         own = np.diagonal(given, axis1=1, axis2=2)
         rate = np.clip((1.0 - _HOPE) * beliefs.rate + _HOPE * own, 1.0 - _CERTAIN, _CERTAIN)
         usable = sign * (rate - share) > 0.0
-        found.append(np.where(usable, np.maximum(growth(rate, share), _LEAST_GAIN), _LEAST_GAIN))
-    return found[0], found[1]
+        gains.append(np.where(usable, np.maximum(growth(rate, share), _LEAST_GAIN), _LEAST_GAIN))
+    return gains[0], gains[1]

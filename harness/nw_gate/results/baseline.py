@@ -251,10 +251,10 @@ class LoadedBaseline:
         }
         for row in () if self.control is None else self.control.rows:
             known[(row.scene, row.perturbation), row.seed_index] = row
-        found = {
+        by_trial = {
             row.trial_id: known.get(((row.scene, row.perturbation), row.seed_index)) for row in rows
         }
-        return {trial: rival for trial, rival in found.items() if rival is not None}
+        return {trial: rival for trial, rival in by_trial.items() if rival is not None}
 
     def of_run(self, info: BaselineInfo) -> LoadedBaseline:
         """Return the baseline as a run knows it, that was begun with it somewhere else."""
@@ -314,49 +314,49 @@ class BaselineChange:
         return frozenset(field.part for field in self.fields)
 
 
-def baseline_change(then: BaselineResults, now: BaselineResults) -> BaselineChange:
+def baseline_change(earlier: BaselineResults, later: BaselineResults) -> BaselineChange:
     """Compare two baselines on a class of machine that both have, or on their first ones."""
-    before, after = _panels(then, now)
+    before, after = _panels(earlier, later)
     strata = sorted({*before.by_stratum, *after.by_stratum})
     return BaselineChange(
-        then=then,
-        now=now,
+        then=earlier,
+        now=later,
         fields=(
-            *key_changes(then.manifest.key, now.manifest.key),
-            *_differences("suite", _starts(then), _starts(now)),
-            *policy_changes(then.manifest.policy, now.manifest.policy),
+            *key_changes(earlier.manifest.key, later.manifest.key),
+            *_differences("suite", _starts(earlier), _starts(later)),
+            *policy_changes(earlier.manifest.policy, later.manifest.policy),
         ),
         machine=machine_changes(before.machine, after.machine),
         scenes=tuple(_scene_change(stratum[0], stratum[1], before, after) for stratum in strata),
     )
 
 
-def key_changes(then: BaselineKey, now: BaselineKey) -> tuple[FieldChange, ...]:
+def key_changes(before: BaselineKey, after: BaselineKey) -> tuple[FieldChange, ...]:
     """Return what differs between two keys: suite, scenes, simulator, scores, in this order."""
     suite = [
-        ("seed", str(then.seed), str(now.seed)),
-        ("protocol", then.protocol, now.protocol),
-        ("digest", then.suite_digest[:16], now.suite_digest[:16]),
+        ("seed", str(before.seed), str(after.seed)),
+        ("protocol", before.protocol, after.protocol),
+        ("digest", before.suite_digest[:16], after.suite_digest[:16]),
     ]
     changed = [
         FieldChange(part="suite", name=name, then=old, now=new)
         for name, old, new in suite
         if old != new
     ]
-    short = [{name: digest[:16] for name, digest in key.scenes.items()} for key in (then, now)]
+    short = [{name: digest[:16] for name, digest in key.scenes.items()} for key in (before, after)]
     return (
         *changed,
         *_differences("scene", *short),
-        *_differences("simulator", then.simulator, now.simulator),
-        *_differences("score", then.measured, now.measured),
+        *_differences("simulator", before.simulator, after.simulator),
+        *_differences("score", before.measured, after.measured),
     )
 
 
-def policy_changes(then: BaselinePolicy, now: BaselinePolicy) -> tuple[FieldChange, ...]:
+def policy_changes(before: BaselinePolicy, after: BaselinePolicy) -> tuple[FieldChange, ...]:
     """Return what differs between two policies: the digests of checkpoint and card."""
     pairs = {
-        "checkpoint": (then.checkpoint_digest[:16], now.checkpoint_digest[:16]),
-        "card": (then.card_digest[:16], now.card_digest[:16]),
+        "checkpoint": (before.checkpoint_digest[:16], after.checkpoint_digest[:16]),
+        "card": (before.card_digest[:16], after.card_digest[:16]),
     }
     return tuple(
         FieldChange(part="policy", name=name, then=old, now=new)
@@ -365,9 +365,9 @@ def policy_changes(then: BaselinePolicy, now: BaselinePolicy) -> tuple[FieldChan
     )
 
 
-def machine_changes(then: Mapping[str, str], now: Mapping[str, str]) -> tuple[FieldChange, ...]:
+def machine_changes(before: Mapping[str, str], after: Mapping[str, str]) -> tuple[FieldChange, ...]:
     """Return what differs between two classes of machine."""
-    return tuple(_differences("machine", then, now))
+    return tuple(_differences("machine", before, after))
 
 
 def mean_of(starts: Sequence[Start]) -> float:
@@ -380,11 +380,11 @@ def baseline_mean(baseline: BaselineResults) -> float:
     return fmean(mean_of(starts) for starts in baseline.panels[0].by_stratum.values())
 
 
-def _panels(then: BaselineResults, now: BaselineResults) -> tuple[Panel, Panel]:
-    for panel in now.panels:
-        if (earlier := then.panel_of(panel.machine)) is not None:
+def _panels(before: BaselineResults, after: BaselineResults) -> tuple[Panel, Panel]:
+    for panel in after.panels:
+        if (earlier := before.panel_of(panel.machine)) is not None:
             return earlier, panel
-    return then.panels[0], now.panels[0]
+    return before.panels[0], after.panels[0]
 
 
 def _scene_change(scene: str, cell: Settings, before: Panel, after: Panel) -> SceneChange:
@@ -409,9 +409,9 @@ def _starts(baseline: BaselineResults) -> Mapping[str, str]:
 
 
 def _differences(
-    part: Part, then: Mapping[str, str], now: Mapping[str, str]
+    part: Part, before: Mapping[str, str], after: Mapping[str, str]
 ) -> Iterable[FieldChange]:
-    for name in sorted({*then, *now}):
-        old, new = then.get(name, _NONE), now.get(name, _NONE)
+    for name in sorted({*before, *after}):
+        old, new = before.get(name, _NONE), after.get(name, _NONE)
         if old != new:
             yield FieldChange(part=part, name=name, then=old, now=new)

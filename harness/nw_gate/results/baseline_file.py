@@ -246,19 +246,19 @@ def find_baseline(reference: str | Path, *, suite: str, root: Path = BASELINES_F
         if what_is(path) != "file":
             raise UsageError(f"no baseline at {path}", fix=_hint(path.stem, suite, root))
         return path
-    found = [
+    paths = [
         path
         for folder in _folders(suite, root)
         if what_is(path := folder / (name + SUFFIX)) == "file"
     ]
-    if not found:
+    if not paths:
         raise UsageError(f"suite {suite!r} has no baseline {name!r}", fix=_hint(name, suite, root))
-    if len(found) > 1 and found[0].read_bytes() != found[1].read_bytes():
+    if len(paths) > 1 and paths[0].read_bytes() != paths[1].read_bytes():
         raise IncomparableError(
-            f"two baselines of suite {suite!r} are called {name!r}: {found[0]} and {found[1]}",
+            f"two baselines of suite {suite!r} are called {name!r}: {paths[0]} and {paths[1]}",
             fix="name one of them by its path",
         )
-    return found[0]
+    return paths[0]
 
 
 def find_any(
@@ -299,12 +299,12 @@ def baseline_files(suite: str | None = None, *, root: Path = BASELINES_FOLDER) -
 
     A shipped one that the project has, bit for bit, is there once.
     """
-    found: dict[tuple[str, str, bytes], Path] = {}
+    paths: dict[tuple[str, str, bytes], Path] = {}
     for folder in _folders(suite or "*", root):
         for path in sorted(folder.parent.glob(f"{folder.name}/*{SUFFIX}")):
             if what_is(path) == "file":
-                found.setdefault((path.parent.name, path.name, path.read_bytes()), path)
-    return tuple(found.values())
+                paths.setdefault((path.parent.name, path.name, path.read_bytes()), path)
+    return tuple(paths.values())
 
 
 def _folders(suite: str, root: Path) -> tuple[Path, Path]:
@@ -504,7 +504,7 @@ def _fault_of_panel(panel: Panel, manifest: Manifest) -> str | None:
     cells: dict[str, set[Settings]] = {}
     for scene, cell in panel.by_stratum:
         cells.setdefault(scene, set()).add(cell)
-    if any(found != cells[panel.starts[0].scene] for found in cells.values()):
+    if any(indexes != cells[panel.starts[0].scene] for indexes in cells.values()):
         return "its scenes differ in what is perturbed"
     if list(panel.starts) != sorted(panel.starts, key=place_of):
         return "its initial states are not in the order of scene, perturbation and index"
@@ -555,23 +555,23 @@ def _are_names(axes: tuple[str, ...]) -> bool:
     return len({*axes}) == len(axes) and all(clean(axis) == axis for axis in axes)
 
 
-def _fault_of_scenes(found: set[str], keyed: set[str]) -> str | None:
-    if lacking := sorted(keyed - found):
+def _fault_of_scenes(scenes: set[str], keyed: set[str]) -> str | None:
+    if lacking := sorted(keyed - scenes):
         return f"it has no start in scene {clean(lacking[0], at_most=80)} of its manifest"
-    if foreign := sorted(found - keyed):
+    if foreign := sorted(scenes - keyed):
         return f"scene {clean(foreign[0], at_most=80)} is none of its manifest"
     return None
 
 
-def _fault_of_indexes(found: list[int], starts: int) -> str | None:
+def _fault_of_indexes(indexes: list[int], starts: int) -> str | None:
     """Return in what indexes are not 0 to `starts` - 1, each once."""
-    index, times = Counter(found).most_common(1)[0]
+    index, times = Counter(indexes).most_common(1)[0]
     if times > 1:
         return f"start {index} is there {times} times"
-    if len(found) != starts:
-        return f"{plural(len(found), 'initial state')}, its manifest says {starts}"
-    if max(found) != starts - 1:
-        return f"start {max(found)} is not between 0 and {starts - 1}"
+    if len(indexes) != starts:
+        return f"{plural(len(indexes), 'initial state')}, its manifest says {starts}"
+    if max(indexes) != starts - 1:
+        return f"start {max(indexes)} is not between 0 and {starts - 1}"
     return None
 
 

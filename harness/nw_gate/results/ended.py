@@ -153,9 +153,9 @@ def _mended(folder: RunFolder, info: RunInfo, rows: list[Row]) -> list[str]:
         return ["judged from the journal: trials.parquet is a pipe"]
     fault = "trials.parquet is missing or damaged (its SHA-256 is not the one in run.json)"
     try:
-        again = _write_table(folder, info, rows, rows_digest(rows))
-        if again != info:  # Another version of Arrow writes the same rows as other bytes.
-            write_run_info(folder.run_json, again)
+        rewritten = _write_table(folder, info, rows, rows_digest(rows))
+        if rewritten != info:  # Another version of Arrow writes the same rows as other bytes.
+            write_run_info(folder.run_json, rewritten)
     except StoreError as error:
         return [f"judged from the journal: {fault}; {error.message}"]
     return [f"judged from the journal, and trials.parquet written again from it: {fault}"]
@@ -191,10 +191,10 @@ def _of_names(rows: Iterable[Row], trials: Sequence[PlannedTrial]) -> tuple[list
     the journal and run.json can write anything.
     """
     names = {trial.id for trial in trials}
-    found: tuple[list[Row], list[Row]] = ([], [])
+    groups: tuple[list[Row], list[Row]] = ([], [])
     for row in rows:
-        found[row.trial_id not in names].append(row)
-    return found
+        groups[row.trial_id not in names].append(row)
+    return groups
 
 
 def _left_out(rows: Sequence[Row]) -> str:
@@ -276,7 +276,7 @@ def _difference(row: Row, trial: PlannedTrial, checkpoint: str) -> str | None:
         "checkpoint digest": (row.checkpoint_digest, checkpoint),
         "seed": (row.seed, trial.seed),
     }
-    for name, (found, planned) in pairs.items():
-        if found != planned:
-            return f"its {name} is {found!r}, planned was {planned!r}"
+    for name, (actual, planned) in pairs.items():
+        if actual != planned:
+            return f"its {name} is {actual!r}, planned was {planned!r}"
     return None

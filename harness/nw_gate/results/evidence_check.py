@@ -281,10 +281,10 @@ def _against_the_other(copy: Copy, trial: str, leaf: str, copies: Collection[Cop
     other = next((each for each in copies if each.leaves.get(trial) == leaf), None)
     if other is None:
         return ""
-    now, was = copy.rows[trial], other.rows[trial]
-    changed = [name for name in COLUMNS if getattr(now, name) != getattr(was, name)]
+    row, was = copy.rows[trial], other.rows[trial]
+    changed = [name for name in COLUMNS if getattr(row, name) != getattr(was, name)]
     shown = [
-        f"{name} is {_short(getattr(now, name))}, was {_short(getattr(was, name))}"
+        f"{name} is {_short(getattr(row, name))}, was {_short(getattr(was, name))}"
         for name in changed[:_SHOWN]
     ]
     more = len(changed) - _SHOWN

@@ -57,20 +57,20 @@ class JournalHeader:
 
     def differences(self, other: JournalHeader) -> list[str]:
         """Return what differs, in words; scenes that only one of the two has do not count."""
-        found: list[str] = []
+        sentences: list[str] = []
         for name in ("suite_digest", "policy_digest"):
             old, new = getattr(self, name), getattr(other, name)
             if old != new:
-                found.append(f"{name.removesuffix('_digest')} ({old[:8]}, now {new[:8]})")
+                sentences.append(f"{name.removesuffix('_digest')} ({old[:8]}, now {new[:8]})")
         for scene in sorted(set(self.scene_digests) & set(other.scene_digests)):
             old, new = self.scene_digests[scene], other.scene_digests[scene]
             if old != new:
-                found.append(f"scene {scene} ({old[:8]}, now {new[:8]})")
+                sentences.append(f"scene {scene} ({old[:8]}, now {new[:8]})")
         for key in sorted(set(self.engine) | set(other.engine)):
             old, new = self.engine.get(key, "none"), other.engine.get(key, "none")
             if old != new:
-                found.append(f"{key} ({old}, now {new})")
-        return found
+                sentences.append(f"{key} ({old}, now {new})")
+        return sentences
 
     def widened(self, known: Mapping[str, str]) -> JournalHeader:
         """Return this header with scenes that the journal knows already."""

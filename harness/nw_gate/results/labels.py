@@ -113,22 +113,22 @@ def ci_labels(environment: Mapping[str, str]) -> dict[str, str]:
         environment: variables by name.
     """
     if environment.get("GITHUB_ACTIONS") == "true":
-        found = _github(environment)
+        labels = _github(environment)
     elif environment.get("GITLAB_CI") == "true":
-        found = _gitlab(environment)
+        labels = _gitlab(environment)
     elif any(environment.get(name) for name in _SERVERS):
-        found = {key: _first(environment, names) for key, names in _ELSEWHERE.items()}
-        if found["pull_request"] == "false":  # Buildkite's word for none.
-            del found["pull_request"]
+        labels = {key: _first(environment, names) for key, names in _ELSEWHERE.items()}
+        if labels["pull_request"] == "false":  # Buildkite's word for none.
+            del labels["pull_request"]
     else:
-        found = {}
-    found["training_run"] = _first(environment, _TRAINING)
-    return fitting(found)
+        labels = {}
+    labels["training_run"] = _first(environment, _TRAINING)
+    return fitting(labels)
 
 
-def fitting(found: Mapping[str, str]) -> dict[str, str]:
+def fitting(labels: Mapping[str, str]) -> dict[str, str]:
     """Return those of known labels that a run can have."""
-    return check_labels({key: text for key, text in found.items() if not _fault(key, text)})
+    return check_labels({key: text for key, text in labels.items() if not _fault(key, text)})
 
 
 def links_of(labels: Mapping[str, str]) -> dict[str, str]:
@@ -187,8 +187,8 @@ def _github(environment: Mapping[str, str]) -> dict[str, str]:
     ref, repository, run = (get(f"GITHUB_{word}", "") for word in ("REF", "REPOSITORY", "RUN_ID"))
     pull = re.fullmatch(r"refs/pull/([0-9]+)/\w+", ref)
     named = get("GITHUB_REF_NAME", "") if ref.startswith("refs/heads/") else ""
-    again = get("GITHUB_RUN_ATTEMPT", "1")
-    path = f"{repository}/actions/runs/{run}" + (f"/attempts/{again}" if again != "1" else "")
+    attempt = get("GITHUB_RUN_ATTEMPT", "1")
+    path = f"{repository}/actions/runs/{run}" + (f"/attempts/{attempt}" if attempt != "1" else "")
     return {
         "repository": repository,
         # Of a pull request GITHUB_SHA is a merge that exists for this job alone.

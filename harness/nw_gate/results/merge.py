@@ -146,20 +146,20 @@ def _check_bits(one: MergeSource, two: MergeSource) -> None:
     Raises:
         IncomparableError: naming both.
     """
-    found = {
+    by_check = {
         source.info.baseline.checked: source
         for source in (one, two)
         if source.info.baseline is not None
     }
-    if None in found:
+    if None in by_check:
         raise IncomparableError(
-            f"{found[None]} ended before the baseline's policy had run on its machine",
-            fix=f"--resume {found[None].folder.path} goes on with it",
+            f"{by_check[None]} ended before the baseline's policy had run on its machine",
+            fix=f"--resume {by_check[None].folder.path} goes on with it",
         )
-    if {"bits", "control"} <= set(found):
+    if {"bits", "control"} <= set(by_check):
         raise IncomparableError(
-            f"not of one run: the baseline's policy repeats its bits in {found['bits']} and has "
-            f"others in {found['control']}, and only with others a part has a control",
+            f"not of one run: the baseline's policy repeats its bits in {by_check['bits']} and has "
+            f"others in {by_check['control']}, and only with others a part has a control",
             fix=_ONE_KIND,
         )
 
@@ -271,8 +271,8 @@ def _gap(
     sentences: list[str] = []
     for index, names in sorted(lacking.items()):
         of = f"{plural(len(names), 'trial')}, first {names[0]}"
-        if found := there[index]:
-            sentences.append(f"{found[0]} lacks {of}; `--resume {found[0].folder.path}` runs them")
+        if row := there[index]:
+            sentences.append(f"{row[0]} lacks {of}; `--resume {row[0].folder.path}` runs them")
         else:
             sentences.append(f"there is no part {index} of {count} ({of})")
     more = f"; and {len(sentences) - _NAMED} more parts" if len(sentences) > _NAMED else ""

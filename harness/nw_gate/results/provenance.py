@@ -442,18 +442,18 @@ def usable_cores(root: Path = Path("/")) -> int:
 
 def library_versions() -> dict[str, str]:
     """Return installed versions without importing anything."""
-    found: dict[str, str] = {}
+    versions: dict[str, str] = {}
     for name in LIBRARIES:
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return versions
 
 
 def _sources() -> list[Path]:
-    found = [path for name in PACKAGES for path in (_ROOT / name).rglob("*.py")]
-    return sorted([*found, *_ROOT.glob("nw_scenes/robots/*/robot.*")])
+    paths = [path for name in PACKAGES for path in (_ROOT / name).rglob("*.py")]
+    return sorted([*paths, *_ROOT.glob("nw_scenes/robots/*/robot.*")])
 
 
 def _rooms(source: Path) -> set[str]:

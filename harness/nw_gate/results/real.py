@@ -59,18 +59,18 @@ def read_real_results(path: Path, spec: ScoreSpec | None = None) -> tuple[RealRe
         raise UsageError(f"{path} {error.args[0]}", fix=fix) from None
     except (ValueError, csv.Error) as error:
         raise UsageError(f"{path} is no CSV: {error}", fix=fix) from None
-    found: list[RealResult] = []
+    results: list[RealResult] = []
     faults: list[Problem] = []
     for number, wanted in cells:
         try:
-            found.append(_result(wanted, f"{path}:{number}", found, spec))
+            results.append(_result(wanted, f"{path}:{number}", results, spec))
         except ValueError as error:
             faults.append(Problem(file=str(path), line=number, column=1, message=str(error)))
     if faults:
         raise UsageError(faults, fix=fix)
-    if not found:
+    if not results:
         raise UsageError(f"{path} has no results", fix=fix)
-    return tuple(found)
+    return tuple(results)
 
 
 def _cells(path: Path, columns: Sequence[str]) -> list[tuple[int, list[str]]]:
@@ -83,7 +83,7 @@ def _cells(path: Path, columns: Sequence[str]) -> list[tuple[int, list[str]]]:
     for name in columns:
         if (count := heading.count(name)) != 1:
             raise LookupError(f"lacks the column {name}" if not count else f"has {name} twice")
-    found: list[tuple[int, list[str]]] = []
+    rows: list[tuple[int, list[str]]] = []
     for line in reader:
         if len(line) > len(heading):
             raise LookupError(f"has more cells in line {reader.line_num} than in its heading")
@@ -92,8 +92,8 @@ def _cells(path: Path, columns: Sequence[str]) -> list[tuple[int, list[str]]]:
         if delimiter != ",":
             wanted[-1] = wanted[-1].replace(",", ".")
         if any(map(str.strip, line)):
-            found.append((reader.line_num, wanted))
-    return found
+            rows.append((reader.line_num, wanted))
+    return rows
 
 
 def _result(

@@ -32,12 +32,12 @@ class Shard:
         Raises:
             UsageError: the words name none.
         """
-        found = _SHARD.fullmatch(text)
-        if found is None or not 1 <= int(found[1]) <= int(found[2]):
+        match = _SHARD.fullmatch(text)
+        if match is None or not 1 <= int(match[1]) <= int(match[2]):
             raise UsageError(
                 f"--shard {text!r} is not a part", fix="give I/N, such as 1/3, with I from 1 to N"
             )
-        return cls(index=int(found[1]), count=int(found[2]))
+        return cls(index=int(match[1]), count=int(match[2]))
 
     def __str__(self) -> str:
         return f"{self.index}/{self.count}"

@@ -144,7 +144,7 @@ def _whole(data: bytes) -> bytes:
 
 def _place(data: bytes | mmap) -> tuple[int, int]:
     """Return where the digits of the sum stand."""
-    places = [found.span(1) for found in _SUM_PLACE.finditer(data)]
+    places = [match.span(1) for match in _SUM_PLACE.finditer(data)]
     if len(places) != 1:
         raise ValueError("its checksum is missing")
     return places[0]

@@ -191,8 +191,8 @@ def pearson(real: Floats, simulated: Floats) -> Floats:
     # What is equal may differ by rounding from its mean, and would correlate with anything.
     same = (np.ptp(real, axis=-1) == 0.0) | (np.ptp(simulated, axis=-1) == 0.0)
     spread = np.sqrt((x * x).sum(axis=-1) * (y * y).sum(axis=-1))
-    found = (x * y).sum(axis=-1) / np.where(same, 1.0, spread)
-    return np.where(same, np.nan, np.clip(found, -1.0, 1.0))
+    correlation = (x * y).sum(axis=-1) / np.where(same, 1.0, spread)
+    return np.where(same, np.nan, np.clip(correlation, -1.0, 1.0))
 
 
 def spearman(real: Floats, simulated: Floats) -> Floats:

@@ -149,8 +149,8 @@ def _weighted(
         raise ValueError(f"value {wrong} is not between 0 and 1")
     weights = np.concatenate([np.full(len(group), 1.0 / len(group)) for group in filled])
     # Trials have few different values: a logarithm of each is enough.
-    found, counts = np.unique(values + 1j * (weights / weights.max()), return_counts=True)
-    return np.real(found), np.imag(found), counts
+    distinct, counts = np.unique(values + 1j * (weights / weights.max()), return_counts=True)
+    return np.real(distinct), np.imag(distinct), counts
 
 
 def _log_capital(

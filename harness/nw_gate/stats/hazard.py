@@ -129,14 +129,14 @@ def differences_over(
         ValueError: as `differences`.
     """
     looked_at = [differences(*pair, confidence) for pair in scenes]
-    found: list[HazardDifference] = []
+    hazard_differences: list[HazardDifference] = []
     for k in range(max(map(len, looked_at))):
-        here = [scene[k] for scene in looked_at if k < len(scene)]
+        counts = [scene[k] for scene in looked_at if k < len(scene)]
         one, two = (
             (sum(side.failed for side in sides), sum(side.trials for side in sides))
-            for sides in ([each.first for each in here], [each.second for each in here])
+            for sides in ([each.first for each in counts], [each.second for each in counts])
         )
-        found.append(
+        hazard_differences.append(
             HazardDifference(
                 first=_hazard(k + 1, *one, confidence),
                 second=_hazard(k + 1, *two, confidence),
@@ -144,12 +144,12 @@ def differences_over(
                 p=fisher(
                     *(
                         ((a.failed, a.trials), (b.failed, b.trials))
-                        for a, b in ((each.first, each.second) for each in here)
+                        for a, b in ((each.first, each.second) for each in counts)
                     )
                 ),
             )
         )
-    return tuple(found)
+    return tuple(hazard_differences)
 
 
 def first_partings(

@@ -96,8 +96,8 @@ def chances_at(courses: list[SceneCounts], mean: float) -> Floats:
     low, high = -60.0, 60.0
     for _ in range(_STEPS):
         middle = (low + high) / 2
-        found = (shares * at(middle)[:, None] ** steps).sum() / len(courses)
-        low, high = (middle, high) if found < mean else (low, middle)
+        chances = (shares * at(middle)[:, None] ** steps).sum() / len(courses)
+        low, high = (middle, high) if chances < mean else (low, middle)
     return at(high)
 
 

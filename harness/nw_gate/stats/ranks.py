@@ -112,9 +112,9 @@ def possible_ranks(policies: Sequence[Groups], error: float = 0.05) -> tuple[Ran
     if not pairs or not sum(shapes[0]):
         return (Ranks(best=1, worst=len(policies)),) * len(policies)
     refuted = _refuted(np.stack([_evidence(policies[i], policies[j]) for i, j in pairs]), error)
-    found = {pair for pair, is_so in zip(pairs, refuted, strict=True) if is_so}
+    rejected_pairs = {pair for pair, is_so in zip(pairs, refuted, strict=True) if is_so}
     # Early rounds may show one of two to be better and late ones the other: neither is then.
-    better = [pair for pair in found if pair[::-1] not in found]
+    better = [pair for pair in rejected_pairs if pair[::-1] not in rejected_pairs]
     return tuple(
         Ranks(
             best=1 + sum(loser == index for _, loser in better),

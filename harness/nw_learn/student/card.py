@@ -57,9 +57,9 @@ def check_teacher(card: Card) -> None:
 def observations(sees: Sees) -> dict[str, dict[str, Any]]:
     """Return what the card of a student observes, by name."""
     layout = {"sensor": "proprio", "layout": "parkour53"}
-    now = [_NOW[0], _DIRECTION, _NOW[1]] if sees.direction else _NOW
-    found: dict[str, dict[str, Any]] = {
-        "proprio": {**layout, "select": now},
+    terms = [_NOW[0], _DIRECTION, _NOW[1]] if sees.direction else _NOW
+    entries: dict[str, dict[str, Any]] = {
+        "proprio": {**layout, "select": terms},
         "last_output": {"sensor": "proprio", "terms": ["last_output"]},
         "history": {
             **layout,
@@ -77,11 +77,11 @@ def observations(sees: Sees) -> dict[str, dict[str, Any]]:
     }
     if sees.rgb:
         stack = {"stack": sees.frames, "stack_axis": "channel"} if sees.frames > 1 else {}
-        found["rgb"] = {"sensor": "splat_rgb", **camera, "axes": "chw", **stack}
+        entries["rgb"] = {"sensor": "splat_rgb", **camera, "axes": "chw", **stack}
     if sees.depth:
         last = {"wrapper": "stack", "steps": sees.frames, "axis": "first"}
         alone = {"wrapper": "channels", "axis": "first"}
-        found["depth"] = {
+        entries["depth"] = {
             "sensor": "depth",
             **camera,
             "mode": "linear",
@@ -91,7 +91,7 @@ def observations(sees: Sees) -> dict[str, dict[str, Any]]:
                 last if sees.frames > 1 else alone,
             ],
         }
-    return found
+    return entries
 
 
 def student_card(

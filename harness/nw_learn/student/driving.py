@@ -48,14 +48,14 @@ def training_scenes(patterns: Sequence[str]) -> tuple[FoundScene, ...]:
         SceneError: a pattern matches nothing, or a scene cannot be opened.
         UsageError: nothing is left.
     """
-    found = [each for each in references(patterns) if split_of(each[0]) != "eval"]
-    if not found:
+    training = [each for each in references(patterns) if split_of(each[0]) != "eval"]
+    if not training:
         raise UsageError(
             f"scenes: {', '.join(patterns)}: these are evaluation scenes, which may not be used "
             "for training",
             fix="name others, such as `split:train`",
         )
-    return tuple(FoundScene.at(*each) for each in found)
+    return tuple(FoundScene.at(*each) for each in training)
 
 
 def make_ready(scenes: Sequence[FoundScene], card: Card, say: Callable[[str], None]) -> None:
@@ -70,7 +70,7 @@ def make_ready(scenes: Sequence[FoundScene], card: Card, say: Callable[[str], No
         UsageError: the student must see a splat, and a scene has none.
         SceneError: a splat cannot be made.
     """
-    opened, listener = [found.scene for found in scenes], _Told(say)
+    opened, listener = [each.scene for each in scenes], _Told(say)
     check_splats(card, opened)
     ready_scans(opened, listener)
     sees = bool(card.splat_images)
@@ -122,7 +122,7 @@ def plan_round(
     digest = digest_of(["student", number])
     jobs: list[TrialJob] = []
     for index in range(count):
-        found = scenes[index % len(scenes)]
+        chosen = scenes[index % len(scenes)]
         teacher_drives = int((index // len(scenes) + 1) * share) > int(
             (index // len(scenes)) * share
         )
@@ -131,9 +131,9 @@ def plan_round(
             suite=f"student-round-{number}",
             suite_digest=digest,
             suite_seed=config.seed,
-            scene=found.scene.name,
-            scene_digest=found.scene.digest,
-            task=found.scene.task,
+            scene=chosen.scene.name,
+            scene_digest=chosen.scene.digest,
+            task=chosen.scene.task,
             index=index // len(scenes),
         )
         jobs.append(
@@ -141,8 +141,8 @@ def plan_round(
                 trial=trial,
                 robot=teacher.card.robot,
                 duration=config.duration,
-                scene=found.reference,
-                collision=found.collision,
+                scene=chosen.reference,
+                collision=chosen.collision,
                 policy=driver.reference,
                 policy_name=driver.name,
                 checkpoint_digest=driver.checkpoint_digest,

@@ -488,10 +488,10 @@ class StudentTraining:
             if self._is_ending:
                 return False
             done = max(self._samples - first, 0) / max(last - first, 1)
-            found = learner.step(self._dataset, number=number, step=self._step, done=done)
+            result = learner.step(self._dataset, number=number, step=self._step, done=done)
             self._step += 1
-            self._samples += int(found["samples"])
-            loss = found["loss"]
+            self._samples += int(result["samples"])
+            loss = result["loss"]
             self._loss = loss if self._step == 1 else _SMOOTH * self._loss + (1 - _SMOOTH) * loss
             if self._step == 1 or self._step % _ROW_EVERY == 0 or self._samples >= last:
                 row = {"learning/loss": self._loss, "round/number": float(number)}

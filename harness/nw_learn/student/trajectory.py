@@ -277,14 +277,14 @@ class Dataset:
         body = _moments([one.body for one in self.trajectories])
         labels = _moments([one.labels for one in self.trajectories])
         means = [self._mean_image(name) for name in self._cameras]
-        found = {
+        arrays = {
             "body_mean": body[0],
             "body_std": body[1],
             "label_mean": labels[0],
             "label_std": labels[1],
             "image": np.concatenate([np.tile(m, (self._frames, 1, 1)) for m in means]),
         }
-        return {name: array.astype(np.float32) for name, array in found.items()}
+        return {name: array.astype(np.float32) for name, array in arrays.items()}
 
     def _mean_image(self, camera: str) -> NDArray[np.float64]:
         """Return the mean image of a camera, 0 to 1."""

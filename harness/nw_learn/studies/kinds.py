@@ -199,20 +199,26 @@ def draw_matrix(
 
 def _annotate(axes: Axes, place: tuple[int, int], score: Score) -> None:
     row, column = place
-    found = score.estimate
-    if found is None:
+    estimate = score.estimate
+    if estimate is None:
         axes.text(column, row, "no result", ha="center", va="center", fontsize=9)
         return
-    colour = "white" if found.mean < _DARK else "black"
-    low, high = found.interval
+    colour = "white" if estimate.mean < _DARK else "black"
+    low, high = estimate.interval
     axes.text(
-        column, row - 0.12, f"{found.mean:.2f}", ha="center", va="center", color=colour, fontsize=13
+        column,
+        row - 0.12,
+        f"{estimate.mean:.2f}",
+        ha="center",
+        va="center",
+        color=colour,
+        fontsize=13,
     )
     errors = f", {plural(score.errors, 'error')}" if score.errors else ""
     axes.text(
         column,
         row + 0.27,
-        f"{low:.2f} to {high:.2f}\n{plural(found.n, 'trial')}{errors}",
+        f"{low:.2f} to {high:.2f}\n{plural(estimate.n, 'trial')}{errors}",
         ha="center",
         va="center",
         color=colour,
@@ -291,7 +297,7 @@ class SingleScene:
         self, students: Sequence[PlannedStudent], outcomes: Sequence[Outcome], /
     ) -> list[Score]:
         """Return a score for each student and scene."""
-        found: list[Score] = []
+        scores: list[Score] = []
         for student in students:
             for scene in student.scenes:
                 mine = [
@@ -301,8 +307,8 @@ class SingleScene:
                 ]
                 if mine:
                     last = student.rounds[-1]
-                    found.append(score(mine, student=student.name, number=last, group=scene.name))
-        return found
+                    scores.append(score(mine, student=student.name, number=last, group=scene.name))
+        return scores
 
     def tables(
         self, students: Sequence[PlannedStudent], scores: Sequence[Score], /
@@ -371,7 +377,7 @@ class MultiScene:
         self, students: Sequence[PlannedStudent], outcomes: Sequence[Outcome], /
     ) -> list[Score]:
         """Return a score for each round, task and part; and of all tasks where one saw them all."""
-        found: list[Score] = []
+        scores: list[Score] = []
         for student in students:
             for name, part, scenes in _groups(student):
                 for number in student.rounds:
@@ -384,8 +390,8 @@ class MultiScene:
                     ]
                     if mine:
                         group = _group(name, part)
-                        found.append(score(mine, student=student.name, number=number, group=group))
-        return found
+                        scores.append(score(mine, student=student.name, number=number, group=group))
+        return scores
 
     def tables(
         self, students: Sequence[PlannedStudent], scores: Sequence[Score], /
@@ -496,17 +502,17 @@ class Observations:
         self, students: Sequence[PlannedStudent], outcomes: Sequence[Outcome], /
     ) -> list[Score]:
         """Return each student's scores, and then how they differ from the first student's."""
-        found: list[Score] = []
+        scores: list[Score] = []
         for part in PARTS:
             first = _outcomes_in(outcomes, students[0], part)
             for student in students:
                 mine = _outcomes_in(outcomes, student, part)
                 if mine:
                     last = student.rounds[-1]
-                    found.append(score(mine, student=student.name, number=last, group=part))
+                    scores.append(score(mine, student=student.name, number=last, group=part))
                 if mine and first and student is not students[0]:
-                    found.append(difference(mine, first, student=student.name, group=part))
-        return found
+                    scores.append(difference(mine, first, student=student.name, group=part))
+        return scores
 
     def tables(
         self, students: Sequence[PlannedStudent], scores: Sequence[Score], /

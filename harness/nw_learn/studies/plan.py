@@ -166,8 +166,8 @@ def settled(config: C) -> C:
     changes: dict[str, Any] = {"student": config.student.model_copy(update={"teacher": own})}
     for field in ("scenes", "held_out"):
         if field in type(config).model_fields:
-            found = references(getattr(config, field), config.base)
-            changes[field] = [_written(*each) for each in found]
+            scenes = references(getattr(config, field), config.base)
+            changes[field] = [_written(*each) for each in scenes]
     return config.model_copy(update=changes)
 
 
@@ -177,13 +177,13 @@ def trained_in(config: StudyConfig) -> tuple[StudyScene, ...]:
     Raises:
         SceneError, UsageError: as `training_scenes`; or a scene is one of the evaluation.
     """
-    found = _scenes(training_scenes(config.scenes), "training")
-    if left_out := set(config.scenes) - {each.reference for each in found}:
+    scenes = _scenes(training_scenes(config.scenes), "training")
+    if left_out := set(config.scenes) - {each.reference for each in scenes}:
         raise UsageError(
             f"scenes: {min(left_out)} is an evaluation scene, which may not be used for training",
             fix="name scenes of `split:train`, or your own",
         )
-    return found
+    return scenes
 
 
 def held_out(patterns: Sequence[str], seen: Iterable[StudyScene]) -> tuple[StudyScene, ...]:
@@ -193,12 +193,12 @@ def held_out(patterns: Sequence[str], seen: Iterable[StudyScene]) -> tuple[Study
         SceneError: a scene cannot be opened.
         UsageError: somebody is trained in one of them.
     """
-    found = _scenes([FoundScene.at(*each) for each in references(patterns)], "evaluation")
-    if both := {each.name for each in seen} & {each.name for each in found}:
+    scenes = _scenes([FoundScene.at(*each) for each in references(patterns)], "evaluation")
+    if both := {each.name for each in seen} & {each.name for each in scenes}:
         raise UsageError(
             f"held_out: students are trained in {min(both)}", fix="take it out of one of the lists"
         )
-    return found
+    return scenes
 
 
 def student_of(
@@ -226,7 +226,7 @@ def slug(text: str) -> str:
     return re.sub(r"[^a-z0-9._]+", "-", text.lower()).strip("-._")[:48] or "scene"
 
 
-def _scenes(found: Iterable[FoundScene], part: Part) -> tuple[StudyScene, ...]:
+def _scenes(scenes: Iterable[FoundScene], part: Part) -> tuple[StudyScene, ...]:
     return tuple(
         StudyScene(
             name=each.scene.name,
@@ -234,7 +234,7 @@ def _scenes(found: Iterable[FoundScene], part: Part) -> tuple[StudyScene, ...]:
             reference=_written(each.reference, each.collision),
             part=part,
         )
-        for each in found
+        for each in scenes
     )
 
 

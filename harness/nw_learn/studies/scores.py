@@ -107,25 +107,25 @@ def difference(
         for each, mine, theirs in pairs
         if mine is not None and theirs is not None
     ]
-    found = mean_of_scenes(_by_scene(known)) if known else None
+    estimate = mean_of_scenes(_by_scene(known)) if known else None
     return Score(
         student=student,
         round=max((each.round for each in outcomes), default=0),
         group=group,
-        estimate=None if found is None else _unfolded(found),
+        estimate=None if estimate is None else _unfolded(estimate),
         errors=len(pairs) - len(known),
         against=others[0].student if others else "",
     )
 
 
-def _unfolded(found: Estimate) -> Estimate:
+def _unfolded(estimate: Estimate) -> Estimate:
     """Return an estimate of places between 0 and 1 as one of differences."""
-    low, high = (2.0 * end - 1.0 for end in found.interval)
+    low, high = (2.0 * end - 1.0 for end in estimate.interval)
     return Estimate(
-        mean=2.0 * found.mean - 1.0,
+        mean=2.0 * estimate.mean - 1.0,
         interval=Interval(low, high),
-        n=found.n,
-        confidence=found.confidence,
+        n=estimate.n,
+        confidence=estimate.confidence,
     )
 
 
@@ -178,8 +178,8 @@ def cell(score: Score | None) -> str:
     """Return a score as a cell: its value, its interval, its trials."""
     if score is None or score.estimate is None:
         return "none" if score is not None and score.errors else ""
-    found = score.estimate
+    estimate = score.estimate
     sign = "+z" if score.against else ""
-    low, high = found.interval
-    text = f"{found.mean:{sign}.2f} ({low:{sign}.2f} to {high:{sign}.2f}), {found.n}"
+    low, high = estimate.interval
+    text = f"{estimate.mean:{sign}.2f} ({low:{sign}.2f} to {high:{sign}.2f}), {estimate.n}"
     return f"{text}, {plural(score.errors, 'error')}" if score.errors else text

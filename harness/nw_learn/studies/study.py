@@ -161,8 +161,8 @@ class StudyRun:
         Raises:
             StoreError: rows are damaged, or a file cannot be written.
         """
-        found = [each for student in self.students for each in self._outcomes(student)]
-        scores = self.kind.scores(self.students, found)
+        outcomes = [each for student in self.students for each in self._outcomes(student)]
+        scores = self.kind.scores(self.students, outcomes)
         if not scores:
             return
         write_scores(self.folder.table, scores)
@@ -181,8 +181,8 @@ class StudyRun:
         if stage.round is None:
             return self.folder.is_trained(student.name, student.config.rounds)
         run = self.folder.run(student.name, stage.round)
-        found = outcomes_of(run, student.name, stage.round)
-        return len(found) == self._trials * len(student.scenes)
+        outcomes = outcomes_of(run, student.name, stage.round)
+        return len(outcomes) == self._trials * len(student.scenes)
 
     def _carry_out(self, stage: _Stage) -> bool:
         """Do a stage; return whether it has come to its end."""

@@ -103,21 +103,21 @@ class Curriculum:
 
     def figures(self) -> dict[str, float]:
         """Return what the curve shows."""
-        found: dict[str, float] = {}
+        figures: dict[str, float] = {}
         grounds = self._lanes.grounds[self._lanes.random_count :]
         means: list[float] = []
         for ground, name in enumerate(GROUNDS):
             robots = self.tasks == ground
             if robots.any():
-                found[f"courses/{name}"] = float(self.courses[ground])
+                figures[f"courses/{name}"] = float(self.courses[ground])
                 if ground != _FLAT:
-                    found[f"level/{name}"] = float(self.levels[robots, ground].mean())
+                    figures[f"level/{name}"] = float(self.levels[robots, ground].mean())
             if (grounds == ground).any():
                 means.append(float(self.places[grounds == ground].mean()))
-                found[f"scenes/{name}"] = means[-1]
+                figures[f"scenes/{name}"] = means[-1]
         if means:
-            found["scenes/mean"] = float(np.mean(means))
-        return found
+            figures["scenes/mean"] = float(np.mean(means))
+        return figures
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """Return everything that changes, by name."""

@@ -184,8 +184,8 @@ class Episodes:
             self._curriculum.judge(over, simulation.lanes[over], self._trails.fraction[over])
             self._start(over)
             seen = Sights(last.observation.copy(), last.privileged.copy())
-            again = self._see(over, self._bodies(over))
-            seen.observation[over], seen.privileged[over] = again
+            first = self._see(over, self._bodies(over))
+            seen.observation[over], seen.privileged[over] = first
         return Stepped(seen=seen, last=last, rewards=value.astype(np.float32), outcomes=outcomes)
 
     def _start(self, robots: NDArray[np.intp]) -> None:
@@ -257,7 +257,7 @@ class Episodes:
         edges = np.empty(contacts.shape)
         read_cells(self._lanes.edges, lanes, self._simulation.feet, edges)
         grounds = self._lanes.grounds[lanes]
-        now = RobotMoments(
+        moments = RobotMoments(
             body=body,
             direction=to_target / (distance + 1e-5),
             delta_yaw=self._bearing(self._everybody, body),
@@ -270,7 +270,7 @@ class Episodes:
             is_flat=grounds == _FLAT,
             is_sloped=grounds == _RAMPS,
         )
-        return rewards(now, self._weights, self._pose, CONTROL_PERIOD)
+        return rewards(moments, self._weights, self._pose, CONTROL_PERIOD)
 
     def state(self) -> dict[str, Any]:
         """Return all that the future depends on, besides lanes and curriculum."""
@@ -331,38 +331,38 @@ def clearance_points(body: Bodies) -> Array:
     return np.stack([face, ahead, *(body.at(point) for point in _BELLY)], axis=1)
 
 
-def rewards(now: RobotMoments, weights: RewardWeights, pose: Array, period: float) -> Array:
+def rewards(moments: RobotMoments, weights: RewardWeights, pose: Array, period: float) -> Array:
     """Return the rewards of one control step, (N,); a failure's is not among them.
 
     Args:
-        now: the robots.
+        moments: the robots.
         weights: of the terms.
         pose: (12,) default joint positions, rad.
         period: of a control step, s.
     """
-    body, gravity = now.body, now.body.gravity
-    speed = np.einsum("ni,ni->n", now.direction, body.velocity[:, :2])
-    turn = np.clip(1.5 * now.delta_yaw, -1.2, 1.2)
+    body, gravity = moments.body, moments.body.gravity
+    speed = np.einsum("ni,ni->n", moments.direction, body.velocity[:, :2])
+    turn = np.clip(1.5 * moments.delta_yaw, -1.2, 1.2)
     offset = body.joints - pose
-    jerk = (body.joint_rates - now.joint_rates_before) / period
-    height = clearance_points(body)[:, :, 2] - now.beneath
+    jerk = (body.joint_rates - moments.joint_rates_before) / period
+    height = clearance_points(body)[:, :, 2] - moments.beneath
     face = height[:, :2].min(axis=1)
     belly = height[:, 2:].min(axis=1)
-    leaning = gravity[:, 1] ** 2 * ~now.is_sloped + gravity[:, 0] ** 2 * now.is_flat
+    leaning = gravity[:, 1] ** 2 * ~moments.is_sloped + gravity[:, 0] ** 2 * moments.is_flat
     total = (
         weights.progress * np.maximum(np.minimum(speed, SPEED) / SPEED, -1.0)
-        + weights.heading * np.exp(-np.abs(now.delta_yaw))
+        + weights.heading * np.exp(-np.abs(moments.delta_yaw))
         + weights.turning * np.exp(-((body.rates[:, 2] - turn) ** 2) / 0.25)
         - weights.bouncing * np.minimum(body.velocity[:, 2] ** 2, 4.0)
         - weights.wobbling * np.minimum((body.rates[:, :2] ** 2).sum(axis=1), 40.0)
         - weights.leaning * leaning
         - weights.jerking * (jerk**2).sum(axis=1)
-        - weights.touching * np.minimum(now.touching, 3)
-        - weights.changing * now.change
-        - weights.straining * (now.torques**2).sum(axis=1)
+        - weights.touching * np.minimum(moments.touching, 3)
+        - weights.changing * moments.change
+        - weights.straining * (moments.torques**2).sum(axis=1)
         - weights.spreading * (offset[:, _HIPS] ** 2).sum(axis=1)
         - weights.posing * (offset**2).sum(axis=1)
-        - weights.edges * now.on_edge
+        - weights.edges * moments.on_edge
         - weights.face * np.clip(1.0 - face / _FACE_CLEARANCE, 0.0, 1.5)
         - weights.belly * np.clip(1.0 - belly / _BELLY_CLEARANCE, 0.0, 1.5)
     )

@@ -382,8 +382,8 @@ def _is_near(box: Box, points: NDArray[np.float64]) -> bool:
 def _heights(scene: Scene) -> NDArray[np.float32]:
     axes = [start + CELL * (np.arange(n) + 0.5) for start, n in zip(ORIGIN, SHAPE, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    found = RayScene(scene.mesh()).height(points)
-    return np.maximum(found, scene.ground.z - 1.0).astype(np.float32).reshape(SHAPE)
+    heights = RayScene(scene.mesh()).height(points)
+    return np.maximum(heights, scene.ground.z - 1.0).astype(np.float32).reshape(SHAPE)
 
 
 def _edges(heights: NDArray[np.float32]) -> NDArray[np.uint8]:

@@ -64,22 +64,22 @@ class Trails:
 
     def __init__(self, count: int) -> None:
         self.points = np.zeros((count, WAYPOINTS, 2))
-        self.starts = np.zeros((count, 2))
+        self.initial_positions = np.zeros((count, 2))
         self.counts = np.ones(count, dtype=np.intp)
         self.index = np.zeros(count, dtype=np.intp)
         self.timer = np.zeros(count, dtype=np.intp)
         self.nearest = np.zeros(count)
         self.waited = np.zeros(count, dtype=np.intp)
 
-    def begin(self, robots: NDArray[np.intp], starts: Array, trails: list[Array]) -> None:
+    def begin(self, robots: NDArray[np.intp], positions: Array, trails: list[Array]) -> None:
         """Begin new trails for some robots, at (n, 2) m."""
         for robot, trail in zip(robots, trails, strict=True):
             self.points[robot, : len(trail)] = trail
             self.points[robot, len(trail) :] = trail[-1]
             self.counts[robot] = len(trail)
-        self.starts[robots] = starts
+        self.initial_positions[robots] = positions
         self.index[robots] = self.timer[robots] = self.waited[robots] = 0
-        self.nearest[robots] = self.remaining(starts, robots)
+        self.nearest[robots] = self.remaining(positions, robots)
 
     def update(self, positions: Array) -> None:
         """Take where the robots are after a control step, (N, 2) m."""
@@ -108,7 +108,7 @@ class Trails:
 
     def aside(self, positions: Array) -> Array:
         """Return the distance of positions (N, 2) from the courses, (N,) m."""
-        corners = np.concatenate([self.starts[:, None], self.points], axis=1)
+        corners = np.concatenate([self.initial_positions[:, None], self.points], axis=1)
         starts, spans = corners[:, :-1], np.diff(corners, axis=1)
         squared = np.einsum("nki,nki->nk", spans, spans)
         offset = positions[:, None] - starts

@@ -135,12 +135,15 @@ class PpoLearner:
         older one, each update would undo the last, overshoot, and grow.
         """
         means = self._actor(samples.observations)
-        now = log_probability(samples.actions, means, samples.std)
-        likelier = (now - samples.log_probabilities).exp().clamp(max=_HEAVIEST)
+        log_probabilities = log_probability(samples.actions, means, samples.std)
+        likelier = (log_probabilities - samples.log_probabilities).exp().clamp(max=_HEAVIEST)
         advantages = samples.advantages
         advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         return replace(
-            samples, means=means, log_probabilities=now, advantages=likelier * advantages
+            samples,
+            means=means,
+            log_probabilities=log_probabilities,
+            advantages=likelier * advantages,
         )
 
     def _policy_loss(self, some: Samples) -> tuple[Tensor, float]:
@@ -467,9 +470,11 @@ class _Training:
         count = self._collected // config.ppo.samples
         if config.courses.redraw and count % config.courses.redraw == 0:
             self._episodes.redraw()
-        found = self._collector.collect(actor, critic, phase.std)
+        collected = self._collector.collect(actor, critic, phase.std)
         self._collected += config.ppo.samples
-        return Collected(samples=found.samples, figures=found.figures | self._curriculum.figures())
+        return Collected(
+            samples=collected.samples, figures=collected.figures | self._curriculum.figures()
+        )
 
     def _copies(self) -> tuple[Actor, Critic]:
         return deepcopy(self._actor).cpu(), deepcopy(self._critic).cpu()

@@ -251,15 +251,15 @@ class Card(CardModel):
         What a sensor of a package reads is its own affair: it may be any of them. A `zero` policy
         answers the same whatever it is told, so all can be told to it.
         """
-        found: set[str] = {"command"} if self.adapter == "zero" else set()
+        heard: set[str] = {"command"} if self.adapter == "zero" else set()
         for seen in self.observations.values():
             if isinstance(seen, ProprioObservation):
-                found |= {_HEARD[term.term] for term in seen.frame_terms if term.term in _HEARD}
+                heard |= {_HEARD[term.term] for term in seen.frame_terms if term.term in _HEARD}
             elif isinstance(seen, DirectionObservation):
-                found.add("way")
+                heard.add("way")
             elif isinstance(seen, PluginObservation):
-                found |= {"command", "speed"}
-        return frozenset(found)
+                heard |= {"command", "speed"}
+        return frozenset(heard)
 
     def input_parts(self) -> tuple[tuple[str | None, tuple[str, ...]], ...]:
         """Return input names with the observations and networks they are made of.

@@ -71,18 +71,18 @@ def files_beside_checkpoint(checkpoint: Path, robot: str = "") -> dict[str, str]
     """
     folder = checkpoint.parent
     own = [f"{checkpoint.stem}.json", "asset_meta.json"]
-    found = [(name, folder / name) for name in own if (folder / name).exists()]
+    files = [(name, folder / name) for name in own if (folder / name).exists()]
     for name in _FOLDERS:
-        found += _yaml_files(folder / name, "" if name == "." else f"{name}/")
+        files += _yaml_files(folder / name, "" if name == "." else f"{name}/")
     above = folder.absolute().parent
     for name in _ABOVE:
-        found += _yaml_files(above / name, "../" if name == "." else f"../{name}/")
+        files += _yaml_files(above / name, "../" if name == "." else f"../{name}/")
     for up, place in enumerate((folder.absolute(), above), start=1):
         if place.name in _PRETRAINED:
             named = [folder.absolute().name] if up == 2 else [robot]
-            found += _deployed(place.parent, "../" * up, named)
+            files += _deployed(place.parent, "../" * up, named)
     texts: dict[str, str] = {}
-    for name, path in found:
+    for name, path in files:
         try:
             is_ours = what_is(path) == "file" and path.stat().st_size <= _LARGEST
             if is_ours and len(texts) < _MOST and name != "policy.yaml":
@@ -94,17 +94,17 @@ def files_beside_checkpoint(checkpoint: Path, robot: str = "") -> dict[str, str]
 
 def _deployed(root: Path, prefix: str, named: Sequence[str]) -> list[tuple[str, Path]]:
     """Return files of deploy scripts that begin with one of some names, or lie in its folder."""
-    found: list[tuple[str, Path]] = []
+    files: list[tuple[str, Path]] = []
     for pattern in _OF_DEPLOY_TREE:
         for folder in sorted(root.glob(pattern)):
             inner = folder.relative_to(root)
             of_folder = len(inner.parts) > 2 and inner.parts[1] in named
-            found += [
+            files += [
                 pair
                 for pair in _yaml_files(folder, f"{prefix}{inner.as_posix()}/")
                 if of_folder or any(pair[1].stem.startswith(name) for name in named)
             ]
-    return found
+    return files
 
 
 def _yaml_files(folder: Path, prefix: str) -> list[tuple[str, Path]]:
@@ -127,23 +127,23 @@ def find_checkpoint(folder: Path) -> tuple[Path, tuple[str, ...]]:
     """
     if (node := pipeline_checkpoint(folder)) is not None:
         return node, ()
-    found = [
+    checkpoints = [
         path
         for pattern in ("*", "*/*")
         for path in sorted(folder.glob(pattern))
         if (path.suffix in _SUFFIXES or path.name == "params") and what_is(path) == "file"
     ]
-    if found and all(path.parent != folder for path in found):
-        for place in dict.fromkeys(path.parent for path in found):
+    if checkpoints and all(path.parent != folder for path in checkpoints):
+        for place in dict.fromkeys(path.parent for path in checkpoints):
             if (node := pipeline_checkpoint(place)) is not None:
                 return node, ()
-    if not found and (step := newest_orbax(folder)) is not None:
+    if not checkpoints and (step := newest_orbax(folder)) is not None:
         raise PolicyError(
             f"{step}: this is a checkpoint of Orbax, a folder of files",
             fix=f"write it as one file, and draft the card of that: `nw-eval policies fold {step} "
             "--out policy.safetensors`",
         )
-    if not found:
+    if not checkpoints:
         raise PolicyError(
             f"{folder}: no checkpoint lies in it, or in a folder of it",
             fix=f"name the file; checkpoints end in {', '.join(sorted(_SUFFIXES))}",
@@ -154,8 +154,8 @@ def find_checkpoint(folder: Path) -> tuple[Path, tuple[str, ...]]:
         best = "best" in path.stem
         return int(step[1]) if step else -1, best, path.suffix == ".onnx", path.name
 
-    newest = max(found, key=rank)
-    others = [str(path.relative_to(folder)) for path in found if path != newest]
+    newest = max(checkpoints, key=rank)
+    others = [str(path.relative_to(folder)) for path in checkpoints if path != newest]
     return newest, tuple(others)
 
 

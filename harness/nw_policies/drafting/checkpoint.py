@@ -281,25 +281,25 @@ def _saved_settings(data: bytes, where: str) -> dict[str, str]:
     kwargs, space = settings.get("policy_kwargs"), settings.get("action_space")
     network = cast("dict[str, Any]", kwargs) if isinstance(kwargs, dict) else {}
     limits = cast("dict[str, Any]", space) if isinstance(space, dict) else {}
-    found = {f"action_{side}": str(limits.get(side, "")) for side in ("low", "high")}
-    found["use_sde"] = str(settings.get("use_sde"))
-    found["squash_output"] = str(network.get("squash_output"))
+    facts = {f"action_{side}": str(limits.get(side, "")) for side in ("low", "high")}
+    facts["use_sde"] = str(settings.get("use_sde"))
+    facts["squash_output"] = str(network.get("squash_output"))
     function = str(network.get("activation_fn", ""))
     named = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", function)
     # The algorithm's own attributes steer a training; `predict` reads the policy and the spaces.
     unread = [f"policy_kwargs.{name}" for name in network if not _OF_NETWORK.fullmatch(name)]
     if named is not None:
-        found["activation"] = named[1]
+        facts["activation"] = named[1]
     elif function:
         unread.append(f"policy_kwargs.activation_fn {function}")
-    return {**found, "unread": plain(", ".join(unread))}
+    return {**facts, "unread": plain(", ".join(unread))}
 
 
 def _header_settings(data: bytes, _: str) -> dict[str, str]:
     """Return the texts in the header of a safetensors file, which has been checked."""
     header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-    found = header.get("__metadata__")
-    items = cast("dict[str, Any]", found).items() if isinstance(found, dict) else ()
+    metadata = header.get("__metadata__")
+    items = cast("dict[str, Any]", metadata).items() if isinstance(metadata, dict) else ()
     return {key: value for key, value in items if isinstance(value, str)}
 
 
@@ -374,8 +374,8 @@ def _exported(data: bytes, path: Path, sha256: str) -> CheckpointFacts:
 
 def _recurrent_weights(tensors: Sequence[TensorFacts]) -> tuple[str, ...]:
     """Return the names of recurrent layers, whose hidden state the file does not show."""
-    found = (tensor.name.rpartition(".") for tensor in tensors)
-    return tuple(dict.fromkeys(path for path, _, leaf in found if leaf.startswith("weight_hh_l")))
+    names = (tensor.name.rpartition(".") for tensor in tensors)
+    return tuple(dict.fromkeys(path for path, _, leaf in names if leaf.startswith("weight_hh_l")))
 
 
 def _known_network(tensors: Sequence[TensorFacts]) -> str | None:
@@ -572,7 +572,7 @@ def script_inputs(
     signature = re.match(r"  def forward\(\w+: [\w.]+(?:,\s*([^)]*))?\) ->", body)
     if signature is None or signature[1] is None:
         return ()
-    found: list[ScriptInput] = []
+    inputs: list[ScriptInput] = []
     for argument in re.split(r",\s*\n\s*", signature[1].strip()):
         parts = _ARGUMENT.match(argument)
         if parts is None:
@@ -580,8 +580,8 @@ def script_inputs(
         if "=" not in argument:
             size = _first_width(parts[1], body, tensors)
             images = _image_channels(parts[1], body, tensors) if parts[2] == "List[Tensor]" else ()
-            found.append(ScriptInput(name=parts[1], kind=parts[2], size=size, images=images))
-    return tuple(found)
+            inputs.append(ScriptInput(name=parts[1], kind=parts[2], size=size, images=images))
+    return tuple(inputs)
 
 
 def forward_code(data: bytes, where: str) -> str:
@@ -633,18 +633,18 @@ def _image_channels(
 ) -> tuple[int | None, ...]:
     """Return the channels of the convolutions that the items of a list go into, by their place."""
     used = [int(place) for place in re.findall(rf"\b{argument}\[(\d{{1,2}})\]", body)]
-    found: list[int | None] = [None] * (max(used, default=-1) + 1)
+    channels: list[int | None] = [None] * (max(used, default=-1) + 1)
     for call in re.finditer(rf"\((\w+)\)\.forward\w*\({argument}\[(\d{{1,2}})\], ", body):
         prefix = _submodule(call[1], body)
         layers = (t for t in tensors if prefix and t.name.startswith(prefix))
-        found[int(call[2])] = next((t.shape[1] for t in layers if len(t.shape) == 4), None)
-    return tuple(found)
+        channels[int(call[2])] = next((t.shape[1] for t in layers if len(t.shape) == 4), None)
+    return tuple(channels)
 
 
 def _submodule(name: str, body: str) -> str:
     """Return what the names of the tensors begin with of the submodule in a variable; or ""."""
-    found = re.search(rf'\n    {name} = (?:(\w+)\.(\w+)|getattr\((\w+), "(\w+)"\))\n', body)
-    if found is None:
+    match = re.search(rf'\n    {name} = (?:(\w+)\.(\w+)|getattr\((\w+), "(\w+)"\))\n', body)
+    if match is None:
         return ""
-    of, own = found[1] or found[3], found[2] or found[4]
+    of, own = match[1] or match[3], match[2] or match[4]
     return f"{own}." if of == "self" else f"{_submodule(of, body) or _NOWHERE}{own}."

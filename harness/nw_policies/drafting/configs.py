@@ -83,13 +83,13 @@ def _speeds(commands: Any) -> dict[str, tuple[float, float]]:
     """Return the ranges of a velocity command, wherever they stand below `commands`."""
     for command in _dict(commands).values():
         ranges = _dict(command).below("ranges")
-        found = {
+        speeds = {
             key: limits
             for key in ("lin_vel_x", "lin_vel_y", "ang_vel_z")
             if len(limits := ranges.numbers(key)) == 2
         }
-        if found:
-            return found
+        if speeds:
+            return speeds
     return {}
 
 
@@ -670,11 +670,11 @@ def _direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Expo
 
 def _one_of(limits: Data) -> tuple[float, float] | None:
     """Return the limits that all patterns have; None where they differ, as a card has one pair."""
-    found = {limits.limits(pattern) for pattern in limits}
-    if len(found) > 1:
+    ranges = {limits.limits(pattern) for pattern in limits}
+    if len(ranges) > 1:
         for pattern, value in limits.items():
             limits.doubt(pattern, value)
-    return found.pop() if len(found) == 1 else None
+    return ranges.pop() if len(ranges) == 1 else None
 
 
 def _joint_order(action: Data, robot: RobotSpec) -> tuple[tuple[str, ...], bool]:
@@ -702,8 +702,8 @@ class _Patterns:
         """Return one number for all joints or one each; empty where some are not said."""
         value = data.get(key)
         if isinstance(value, Fields):
-            found = [self._of(name, value) for name in self._names]
-            values = () if None in found else tuple(cast("list[float]", found))
+            by_joint = [self._of(name, value) for name in self._names]
+            values = () if None in by_joint else tuple(cast("list[float]", by_joint))
         else:
             values = numbers_of(value)
         data.doubt(key, value, readable=bool(values))
@@ -711,7 +711,7 @@ class _Patterns:
 
     def motors(self, groups: Sequence[Data], key: str) -> tuple[float, ...]:
         """Return the values of groups of motors."""
-        found: dict[str, float] = {}
+        motors: dict[str, float] = {}
         for group in groups:
             listed = group.first("joint_names_expr", "target_names_expr")[1]
             for name in self._names:
@@ -719,17 +719,17 @@ class _Patterns:
                     value = group.get(key)
                     own = self._of(name, value) if isinstance(value, Fields) else number_of(value)
                     if own is not None:
-                        found[name] = own
-        if complete := set(found) == set(self._names):
-            return tuple(found[name] for name in self._names)
+                        motors[name] = own
+        if complete := set(motors) == set(self._names):
+            return tuple(motors[name] for name in self._names)
         for group in groups:
             group.doubt(key, group.get(key), readable=complete)
         return ()
 
     @staticmethod
     def _of(name: str, values: Data) -> float | None:
-        found = next((pattern for pattern in values if _matches(pattern, name)), "")
-        return values.number(found)
+        matched = next((pattern for pattern in values if _matches(pattern, name)), "")
+        return values.number(matched)
 
 
 def _matches(pattern: str, name: str) -> bool:

@@ -603,19 +603,19 @@ def files_beside(checkpoint: Path) -> str:
     Nothing of them is run.
     """
     beside = sorted(checkpoint.parent.glob("*"))
-    found = [path for path in beside if _may_feed(path, checkpoint)]
-    if not found or len(found) > _MOST:
+    paths = [path for path in beside if _may_feed(path, checkpoint)]
+    if not paths or len(paths) > _MOST:
         return ""
     own = checkpoint.read_bytes()
-    found = [path for path in found if _is_another(path, own)]
-    if not found:
+    paths = [path for path in paths if _is_another(path, own)]
+    if not paths:
         return ""
     lines = [
         "",
         "# If a file beside it feeds it, say so, and name it in `inputs` as an observation:",
         "# networks:",
     ]
-    for path in found:
+    for path in paths:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
         lines += [
             f"#   {key(path.stem)}:",

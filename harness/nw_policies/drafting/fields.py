@@ -155,31 +155,31 @@ class Fields(dict[str, Any]):
     def number(self, *keys: str) -> float | None:
         """Return the finite number of the first key that says something; None if it is none."""
         key, value = self.first(*keys)
-        found = number_of(value)
-        self.doubt(key, value, readable=found is not None)
-        return found
+        number = number_of(value)
+        self.doubt(key, value, readable=number is not None)
+        return number
 
     def numbers(self, *keys: str) -> tuple[float, ...]:
         """Return a list of finite numbers, or one; empty where it is something else."""
         key, value = self.first(*keys)
-        found = numbers_of(value)
-        self.doubt(key, value, readable=bool(found))
-        return found
+        numbers = numbers_of(value)
+        self.doubt(key, value, readable=bool(numbers))
+        return numbers
 
     def texts(self, key: str) -> tuple[str, ...]:
         """Return the texts of a list; empty where it is none."""
         value = self.get(key)
-        found = texts_of(value)
-        is_whole = isinstance(value, list) and len(found) == len(cast("list[Any]", value))
+        texts = texts_of(value)
+        is_whole = isinstance(value, list) and len(texts) == len(cast("list[Any]", value))
         self.doubt(key, value, readable=is_whole)
-        return found
+        return texts
 
     def limits(self, key: str) -> tuple[float, float] | None:
         """Return [low, high], or one number for both sides, or a list of equal pairs."""
         value = self.get(key)
-        found = limits_of(value)
-        self.doubt(key, value, readable=found is not None or value in (0, [0.0], False))
-        return found
+        limits = limits_of(value)
+        self.doubt(key, value, readable=limits is not None or value in (0, [0.0], False))
+        return limits
 
     def per_second(self, key: str) -> float | None:
         """Return how often a time of seconds passes in one."""

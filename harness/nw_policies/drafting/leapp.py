@@ -74,8 +74,8 @@ def _of_graph(data: bytes) -> Constants:
         if node.text("op_type") == "Identity":
             copied[node.text("output")] = node.text("input")
     outputs = [reader.read(view, "ValueInfo").text("name") for view in graph.views("output")]
-    found = {name: stored.get(copied.get(name, name)) for name in outputs}
-    return {name: n for name, tensor in found.items() if tensor and (n := _numbers(tensor))}
+    constants = {name: stored.get(copied.get(name, name)) for name in outputs}
+    return {name: n for name, tensor in constants.items() if tensor and (n := _numbers(tensor))}
 
 
 def _numbers(tensor: ProtobufMessage) -> tuple[float, ...]:
@@ -98,7 +98,7 @@ def _of_script(data: bytes, where: str, names: Sequence[str]) -> Constants:
     index = read_index(archive.read("constants.pkl", at_most=limits.index_bytes), where, limits)
     check_references(index, archive, "constants", limits)
     tree = index.tree if isinstance(index.tree, tuple | list) else ()
-    found: Constants = {}
+    constants: Constants = {}
     for name, item in zip(names, items, strict=True):
         place = re.fullmatch(r"CONSTANTS\.c(\d{1,6})", item)
         ref = tree[int(place[1])] if place and int(place[1]) < len(tree) else None
@@ -106,8 +106,8 @@ def _of_script(data: bytes, where: str, names: Sequence[str]) -> Constants:
             continue
         if math.prod(ref.shape) == ref.storage.count <= _MOST:
             raw = archive.read(f"constants/{ref.storage.key}", at_most=4 * _MOST)
-            found[name] = _finite(np.frombuffer(raw, "<f4"))
-    return found
+            constants[name] = _finite(np.frombuffer(raw, "<f4"))
+    return constants
 
 
 def _items(text: str) -> list[str]:
@@ -270,7 +270,7 @@ def read_pipeline(text: str, where: str) -> Pipeline:
             f"{where}: `models` has {len(models)} nodes; a card runs 1 to {_MOST_NODES}",
             fix="export the policy as fewer nodes",
         )
-    found = Pipeline(
+    parsed = Pipeline(
         file=plain(Path(where).name),
         nodes={str(name): _node(str(name), _dict(one), where) for name, one in models.items()},
         feeds=_flow(pipeline.get("data_flow"), where),
@@ -278,7 +278,7 @@ def read_pipeline(text: str, where: str) -> Pipeline:
         rate=_rate(data.below("pipeline").below("configs")),
         initial=str(pipeline.get("initial_values") or ""),
     )
-    return replace(found, notes=account(found.file, ["leapp"], data))
+    return replace(parsed, notes=account(parsed.file, ["leapp"], data))
 
 
 def _rate(configs: Fields) -> float | None:
@@ -324,7 +324,7 @@ def _node(name: str, data: Mapping[str, Any], where: str) -> Node:
 
 
 def _tensors(value: Any) -> tuple[Tensor, ...]:
-    found: list[Tensor] = []
+    tensors: list[Tensor] = []
     for entry in map(_dict, _list(value)[:_MOST_TENSORS]):
         sizes = _list(entry.get("shape"))
         if not all(isinstance(size, int) and 0 <= size < 2**31 for size in sizes):
@@ -334,7 +334,7 @@ def _tensors(value: Any) -> tuple[Tensor, ...]:
             for axis in _list(entry.get("element_names"))
         ]
         names = next((axis for axis in reversed(axes) if sizes and len(axis) == sizes[-1]), [])
-        found.append(
+        tensors.append(
             Tensor(
                 name=str(entry.get("name")),
                 shape=tuple(sizes),
@@ -343,7 +343,7 @@ def _tensors(value: Any) -> tuple[Tensor, ...]:
                 source=str(entry.get("isaaclab_connection") or ""),
             )
         )
-    return tuple(found)
+    return tuple(tensors)
 
 
 def _flow(value: Any, where: str) -> dict[Port, Port]:
@@ -458,12 +458,12 @@ def _gains(
     kind: str, node: Node, names: Sequence[str], constants: Mapping[str, tuple[float, ...]]
 ) -> tuple[float, ...]:
     """Return the gains of all joints in their order; none where the file does not hold them."""
-    found: dict[str, float] = {}
+    gains: dict[str, float] = {}
     for output in node.outputs:
         if output.kind == kind and output.name in constants:
             own = [short_name(name) for name in output.elements] or names
-            found |= dict(zip(own, constants[output.name], strict=False))
-    return tuple(found[name] for name in names) if names and set(names) <= set(found) else ()
+            gains |= dict(zip(own, constants[output.name], strict=False))
+    return tuple(gains[name] for name in names) if names and set(names) <= set(gains) else ()
 
 
 def _dict(value: Any) -> Mapping[str, Any]:

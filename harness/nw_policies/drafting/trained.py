@@ -209,10 +209,10 @@ def trained_network(facts: CheckpointFacts, joints: int) -> TrainedNetwork | Non
             for root in _roots(parts, shapes):
                 wanted = [f"{root}{part.removeprefix('?')}" for part in parts]
                 weights = [part for part in wanted if _there(part, shapes)]
-                found = _network(pattern, root, weights, shapes, joints)
-                if found is not None and not _is_fed(found, shapes):
-                    found = _within_bounds(found, facts.metadata, joints)
-                    return _accounted(found, shapes, entries)
+                actor = _network(pattern, root, weights, shapes, joints)
+                if actor is not None and not _is_fed(actor, shapes):
+                    actor = _within_bounds(actor, facts.metadata, joints)
+                    return _accounted(actor, shapes, entries)
     chains = [
         (prefix, layers)
         for prefix in _prefixes(shapes)
@@ -315,10 +315,10 @@ def _within_bounds(
 def _listed(text: str) -> tuple[float, ...]:
     """Return the numbers of an array as NumPy prints it; empty where it is none."""
     try:
-        found = tuple(float(word) for word in text.strip("[] \n").split())
+        numbers = tuple(float(word) for word in text.strip("[] \n").split())
     except ValueError:
         return ()
-    return () if any(map(math.isnan, found)) else found
+    return () if any(map(math.isnan, numbers)) else numbers
 
 
 def _layers(weights: Sequence[str], shapes: Mapping[str, Shape]) -> tuple[Layer, ...]:
@@ -346,12 +346,12 @@ def _prefixes(shapes: Mapping[str, Shape]) -> Iterable[str]:
 def _roots(parts: Sequence[str], shapes: Mapping[str, Shape]) -> list[str]:
     """Return what all parts of a chain that must be there begin with, the shortest first."""
     needed = [re.escape(part) for part in parts if not part.startswith("?")]
-    found = [
+    prefixes = [
         {match[1] for name in shapes if (match := re.match(rf"((?:.*?\.)??){part}\.", name))}
         for part in needed
     ]
     return sorted(
-        (root for root in set.intersection(*found) if not _OTHERS.search(root)),
+        (root for root in set.intersection(*prefixes) if not _OTHERS.search(root)),
         key=lambda root: (root.count("."), root.startswith("ema"), root),
     )
 
@@ -407,9 +407,9 @@ def _accounted(
 
 def _is_passed_over(name: str) -> bool:
     """Whether an entry of a file has no effect on a policy in use."""
-    found = _OTHERS.search(name)
-    if found is None or not _STATISTICS.search(name):
-        return found is not None
+    match = _OTHERS.search(name)
+    if match is None or not _STATISTICS.search(name):
+        return match is not None
     # Statistics count unless they are a critic's, or of no observations.
     first, second, *_ = _PASSED_OVER.values()
     other = re.search(f"{first}|{second}|(count|tracked)$", name, re.IGNORECASE)
@@ -499,16 +499,16 @@ def statistics_beside(checkpoint: Path) -> Path | None:
         return None
     own = checkpoint.parent
     for folder in (own, *sorted(p for p in own.glob("*") if what_is(p) == "folder"), own.parent):
-        found = [p for p in sorted(folder.glob("*.pkl")) if _CALLED.search(p.stem)]
-        found = [p for p in found if what_is(p) == "file"]
-        for path in found:
+        files = [p for p in sorted(folder.glob("*.pkl")) if _CALLED.search(p.stem)]
+        files = [p for p in files if what_is(p) == "file"]
+        for path in files:
             if _CALLED.sub("", path.stem) in {checkpoint.stem, f"{checkpoint.stem}_"}:
                 return path
-        for path in found:
+        for path in files:
             if _CALLED.fullmatch(path.stem):
                 return path
-        if len(found) == 1 and folder == own and not re.search(r"\d", found[0].stem):
-            return found[0]
+        if len(files) == 1 and folder == own and not re.search(r"\d", files[0].stem):
+            return files[0]
     return None
 
 
@@ -520,10 +520,10 @@ def normalised(network: TrainedNetwork, statistics: Path | None) -> TrainedNetwo
     """
     if statistics is None or not network.trainer.startswith("Stable-Baselines3"):
         return network
-    found = read_statistics(statistics, network.layers[0].inputs)
-    if found is None:
+    saved = read_statistics(statistics, network.layers[0].inputs)
+    if saved is None:
         return network
-    return replace(network, normaliser=found.line(), normaliser_of=found.file)
+    return replace(network, normaliser=saved.line(), normaliser_of=saved.file)
 
 
 def read_statistics(path: Path, size: int) -> Statistics | None:
@@ -549,8 +549,8 @@ def read_statistics(path: Path, size: int) -> Statistics | None:
     if state.get("norm_obs") is False:
         return None
     rms = state.get("obs_rms")
-    found = _state(rms, "stable_baselines3.common.running_mean_std.RunningMeanStd")
-    mean, variance = _numbers(found.get("mean")), _numbers(found.get("var"))
+    attributes = _state(rms, "stable_baselines3.common.running_mean_std.RunningMeanStd")
+    mean, variance = _numbers(attributes.get("mean")), _numbers(attributes.get("var"))
     eps, clip = state.get("epsilon"), state.get("clip_obs")
     if not (mean and variance and isinstance(eps, float) and isinstance(clip, int | float)):
         what = "statistics by the keys of a dict" if isinstance(rms, dict) else "no statistics"

@@ -106,27 +106,27 @@ def _compare(plan: Planner, node: Node) -> None:
         return
     x, y = (plan.view(name) for name in node.inputs)
 
-    def found(code: int, a: View, b: View) -> View:
+    def combined(code: int, a: View, b: View) -> View:
         return plan.combine(code, a, b, kind="bool")
 
     match node.operator:
         case "Equal":
-            result = found(rows.EQUAL, x, y)
+            result = combined(rows.EQUAL, x, y)
         case "Less":
-            result = found(rows.LESS, x, y)
+            result = combined(rows.LESS, x, y)
         case "Greater":
-            result = found(rows.LESS, y, x)
+            result = combined(rows.LESS, y, x)
         case "LessOrEqual":  # Not the opposite of greater: of NaN neither holds.
-            result = found(rows.MAX, found(rows.LESS, x, y), found(rows.EQUAL, x, y))
+            result = combined(rows.MAX, combined(rows.LESS, x, y), combined(rows.EQUAL, x, y))
         case "GreaterOrEqual":
-            result = found(rows.MAX, found(rows.LESS, y, x), found(rows.EQUAL, x, y))
+            result = combined(rows.MAX, combined(rows.LESS, y, x), combined(rows.EQUAL, x, y))
         case "And":
-            result = found(rows.MUL, x, y)
+            result = combined(rows.MUL, x, y)
         case "Or":
-            result = found(rows.MAX, x, y)
+            result = combined(rows.MAX, x, y)
         case _:
-            equal = found(rows.EQUAL, x, y)
-            result = found(rows.SUB, plan.scalar(1.0), equal)
+            equal = combined(rows.EQUAL, x, y)
+            result = combined(rows.SUB, plan.scalar(1.0), equal)
     plan.values[node.outputs[0]] = result
 
 
@@ -427,8 +427,8 @@ def _reduce(plan: Planner, node: Node) -> None:
             "ReduceMax": np.max,
             "ReduceMin": np.min,
         }
-        found = exact[node.operator](value, axis=tuple(axes) or None, keepdims=keeps)
-        plan.values[node.outputs[0]] = np.asarray(found, value.dtype)
+        reduced = exact[node.operator](value, axis=tuple(axes) or None, keepdims=keeps)
+        plan.values[node.outputs[0]] = np.asarray(reduced, value.dtype)
         return
     x = _number(plan, node.inputs[0])
     if node.operator in {"ReduceL2", "ReduceSumSquare"}:

@@ -77,11 +77,11 @@ def joined(
 
 def moved(rows: Rows, by: int) -> Rows:
     """Return rows that do in floats `by` later what rows (n, WIDTH) do."""
-    found = rows.copy()
+    shifted = rows.copy()
     for operation, fields in enumerate(OFFSETS):
         for field in fields:
-            found[rows[:, 0] == operation, field] += by
-    return found
+            shifted[rows[:, 0] == operation, field] += by
+    return shifted
 
 
 def _copying(link: Link, inputs: dict[str, Slot], outputs: dict[str, Slot]) -> list[int]:

@@ -209,10 +209,10 @@ def sliced(view: View, taken: Sequence[slice]) -> View:
     """Return what a slice for each axis takes of a view."""
     offset, shape, strides = view.offset, list(view.shape), list(view.strides)
     for axis, each in enumerate(taken):
-        found = range(*each.indices(view.shape[axis]))
-        offset += (found.start if found else 0) * view.strides[axis]
-        shape[axis] = len(found)
-        strides[axis] *= found.step
+        indices = range(*each.indices(view.shape[axis]))
+        offset += (indices.start if indices else 0) * view.strides[axis]
+        shape[axis] = len(indices)
+        strides[axis] *= indices.step
     return replace(view, offset=offset, shape=tuple(shape), strides=tuple(strides))
 
 

@@ -47,11 +47,11 @@ def operator(*names: str, domain: str = "") -> Callable[[Rule], Rule]:
 
 def operators() -> dict[str, list[str]]:
     """Return the names of all operators that can be planned, by the module that has their rules."""
-    found: dict[str, list[str]] = {}
+    names: dict[str, list[str]] = {}
     for (domain, name), rule in sorted(_RULES.items()):
         module = rule.__module__.rpartition(".")[2]
-        found.setdefault(module, []).append(f"{domain}::{name}" if domain else name)
-    return found
+        names.setdefault(module, []).append(f"{domain}::{name}" if domain else name)
+    return names
 
 
 class Planner:

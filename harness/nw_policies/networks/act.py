@@ -327,8 +327,8 @@ def read_sizes(tensors: Mapping[str, Tensor], where: str, *, heads: int) -> ActS
 
 
 def _layers(shapes: Shapes, part: str) -> int:
-    found = (re.match(rf"{part}\.layers\.(\d{{1,3}})\.", name) for name in shapes)
-    return 1 + max((int(match[1]) for match in found if match), default=-1)
+    matches = (re.match(rf"{part}\.layers\.(\d{{1,3}})\.", name) for name in shapes)
+    return 1 + max((int(match[1]) for match in matches if match), default=-1)
 
 
 def _backbone_for(shapes: Shapes) -> nn.Module:

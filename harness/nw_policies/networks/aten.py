@@ -489,12 +489,12 @@ def _select(r: Values, a: Any, outputs: Any) -> str:
 @rule("split", "split_with_sizes", "chunk", "unsafe_split", "unsafe_chunk", "unbind", "narrow")
 def _parts(r: Values, a: Any, outputs: Any) -> list[str]:
     axis = a.dim % a.self.ndim
-    start, found = a.get("start", 0), list[str]()
+    start, parts = a.get("start", 0), list[str]()
     for out in outputs:
         size = 1 if a.operator == "unbind" else out.shape[axis]
-        found.append(r.reshaped(r.slice(r.name(a.self), axis, start, start + size), out.shape))
+        parts.append(r.reshaped(r.slice(r.name(a.self), axis, start, start + size), out.shape))
         start += size
-    return found
+    return parts
 
 
 @rule("cat", "concat", "stack")

@@ -80,18 +80,18 @@ class _GraphReader:
         if "functions" in self._model:
             raise UnsupportedError("functions of the file")
         (main,) = self._inside(self._model, "graph", "Graph")
-        found = Graph()
+        graph = Graph()
         for each in self._inside(self._model, "opset_import", "Opset"):
             if each.text("domain") in {"", _STANDARD}:
-                found.version = each.integer("version")
+                graph.version = each.integer("version")
         for tensor in self._inside(main, "initializer", "Tensor"):
-            found.constants[tensor.text("name")] = self._tensor(tensor)
+            graph.constants[tensor.text("name")] = self._tensor(tensor)
         for value in self._inside(main, "input", "ValueInfo"):
-            if value.text("name") not in found.constants:  # As files of before 2019 have them.
-                found.inputs.append(self._input(value))
-        found.nodes = [self._node(node) for node in self._inside(main, "node", "Node")]
-        found.outputs = [value.text("name") for value in self._inside(main, "output", "ValueInfo")]
-        return found
+            if value.text("name") not in graph.constants:  # As files of before 2019 have them.
+                graph.inputs.append(self._input(value))
+        graph.nodes = [self._node(node) for node in self._inside(main, "node", "Node")]
+        graph.outputs = [value.text("name") for value in self._inside(main, "output", "ValueInfo")]
+        return graph
 
     def declared(self) -> DeclaredGraph:
         (main,) = self._inside(self._model, "graph", "Graph")

@@ -246,10 +246,10 @@ class Recorder(TorchDispatchMode, Values):
 
 def _places(tensor: Tensor) -> NDArray[np.int64]:
     """Return where in their common memory the numbers of a tensor lie."""
-    found = np.full(tuple(tensor.shape), tensor.storage_offset(), np.int64)
+    offsets = np.full(tuple(tensor.shape), tensor.storage_offset(), np.int64)
     for axis, (size, stride) in enumerate(zip(tensor.shape, tensor.stride(), strict=True)):
-        found += (np.arange(size) * stride).reshape(-1, *[1] * (tensor.ndim - axis - 1))
-    return found
+        offsets += (np.arange(size) * stride).reshape(-1, *[1] * (tensor.ndim - axis - 1))
+    return offsets
 
 
 def _written(func: Any, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Tensor | None:

@@ -493,12 +493,12 @@ def _read_header(data: bytes, where: str, limits: FileLimits) -> tuple[TensorEnt
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return an object of JSON; a name that stands twice would be one tensor or the other."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    fields = dict(pairs)
+    if len(fields) < len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"it has {clean(twice, at_most=80)!r} twice")
-    return found
+    return fields
 
 
 def _place(entry: TensorEntry) -> tuple[int, int]:

@@ -162,23 +162,23 @@ def _answer(session: Any, request: Any, deadline: Deadline) -> Any:
         SlowError: they do not come in time.
         Exception: the library's own.
     """
-    found: SimpleQueue[Any] = SimpleQueue()
+    answers: SimpleQueue[Any] = SimpleQueue()
     gone = threading.Event()
 
     def ask() -> None:
         try:
             answer = session.send(request, stream=True, follow_redirects=False)
         except Exception as error:  # noqa: BLE001 - It is raised where it was asked.
-            found.put(error)
+            answers.put(error)
             return
-        found.put(answer)
+        answers.put(answer)
         if gone.is_set():
             answer.close()
 
     left = min(deadline.left, limits.SECONDS)
     threading.Thread(target=ask, name="hub", daemon=True).start()
     try:
-        answer = found.get(timeout=left)
+        answer = answers.get(timeout=left)
     except Empty:
         gone.set()
         raise SlowError(f"no answer came within {left:.0f} s") from None

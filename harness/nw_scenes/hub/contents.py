@@ -96,7 +96,7 @@ def files_of(client: Client, reference: Reference, commit: str) -> tuple[RemoteF
         SlowError: it takes too long.
     """
     archive = reference.archive
-    found: list[RemoteFile] = []
+    files: list[RemoteFile] = []
     for entry in islice(_entries(client, reference, commit), 4 * limits.FILES):
         path = str(entry["path"])
         if entry["type"] != "file" or archive not in {None, path}:
@@ -107,9 +107,9 @@ def files_of(client: Client, reference: Reference, commit: str) -> tuple[RemoteF
         identity = str(large["oid"] if large else entry["oid"])
         if not _IDENTITY.fullmatch(identity):  # It is to be the name of a file.
             raise ValueError(f"{clean(identity, at_most=80)!r} is no digest")
-        found.append(RemoteFile(path=path, size=int(entry["size"]), identity=identity))
-    _check_amount(reference, found)
-    return tuple(sorted(found, key=lambda file: file.path))
+        files.append(RemoteFile(path=path, size=int(entry["size"]), identity=identity))
+    _check_amount(reference, files)
+    return tuple(sorted(files, key=lambda file: file.path))
 
 
 def _check_amount(reference: Reference, files: list[RemoteFile]) -> None:

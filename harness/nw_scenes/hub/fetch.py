@@ -63,11 +63,11 @@ def located(reference: Reference) -> Fetched:
         NwEvalError: as `fetch`.
     """
     commit = known_commit(reference)
-    found = None if commit is None else kept(reference, commit)
-    if found is None:
-        found = fetch(reference if commit is None else replace(reference, revision=commit))
-    listener().message(str(found))
-    return found
+    fetched = None if commit is None else kept(reference, commit)
+    if fetched is None:
+        fetched = fetch(reference if commit is None else replace(reference, revision=commit))
+    listener().message(str(fetched))
+    return fetched
 
 
 def fetch(reference: Reference) -> Fetched:
@@ -81,20 +81,20 @@ def fetch(reference: Reference) -> Fetched:
         UsageError: HF_ENDPOINT is not an address.
         StoreError: the cache cannot be written.
     """
-    found = kept(reference, reference.revision) if reference.is_pinned else None
-    if found is not None:
-        return found
+    fetched = kept(reference, reference.revision) if reference.is_pinned else None
+    if fetched is not None:
+        return fetched
     client = None if reference.is_of_menagerie else open_client(reference)
     try:
         if client is None:
             with _alone_in(repository_folder(reference)):
                 forget_checks()
-                found = bring_robot(reference)
-            commit = found.revision
+                fetched = bring_robot(reference)
+            commit = fetched.revision
         else:
             with worded(client, reference):
                 commit = commit_of(client, reference)
-            found = kept(reference, commit) or _bring(client, reference, commit)
+            fetched = kept(reference, commit) or _bring(client, reference, commit)
     except FetchError as error:
         raise _still_kept(reference, error) from None
     except OSError as error:
@@ -104,7 +104,7 @@ def fetch(reference: Reference) -> Fetched:
         ) from error
     if not reference.is_pinned:
         remember_commit(reference, commit)
-    return found
+    return fetched
 
 
 def _bring(client: Client, reference: Reference, commit: str) -> Fetched:
@@ -112,9 +112,9 @@ def _bring(client: Client, reference: Reference, commit: str) -> Fetched:
     repository = repository_folder(reference)
     with _alone_in(repository):
         forget_checks()  # Another process may have fetched it while this one waited.
-        found = kept(reference, commit)
-        if found is not None:
-            return found
+        fetched = kept(reference, commit)
+        if fetched is not None:
+            return fetched
         with worded(client, reference):
             files = files_of(client, reference, commit)
         parts = {file: _part(reference, file) for file in files}
@@ -194,10 +194,10 @@ def _check_space(reference: Reference, parts: dict[RemoteFile, Path]) -> None:
 def _still_kept(reference: Reference, error: FetchError) -> FetchError:
     """Return an error that says what is kept, if the network was only to say whether it is new."""
     commit = known_commit(reference)
-    found = None if commit is None else kept(reference, commit)
-    if found is None:
+    stored = None if commit is None else kept(reference, commit)
+    if stored is None:
         return error
-    return FetchError(f"{error.message}; {found}, and is what runs use", fix=error.fix)
+    return FetchError(f"{error.message}; {stored}, and is what runs use", fix=error.fix)
 
 
 @contextmanager
@@ -244,24 +244,24 @@ def download(
     with part.open("ab") as out:
         missing = file.size - _size(out, file)
         deadline = Deadline(limits.SECONDS + missing / limits.SLOWEST)
-        while (here := _size(out, file)) < file.size:
+        while (size := _size(out, file)) < file.size:
             broken: Exception | None = None
             try:
-                _append(client, reference, commit, file, out, here, deadline)
+                _append(client, reference, commit, file, out, size, deadline)
             except client.errors.HTTPError as error:
                 answer = getattr(error, "response", None)  # Of a refusal.
                 if answer is not None and answer.status_code not in _PASSING:
                     raise
                 broken = error
             reached = _size(out, file)
-            if reached > here:
+            if reached > size:
                 pauses = list(_PAUSES)
                 if reached < file.size:
                     listener().message(_broken(file, reached))
             elif pauses:
                 time.sleep(pauses.pop(0))
             else:
-                raise _lost(client, reference, file, here, broken)
+                raise _lost(client, reference, file, size, broken)
         out.flush()
         os.fsync(out.fileno())
     listener().fetching(file.path, file.size, file.size)
@@ -279,12 +279,12 @@ def _append(
     commit: str,
     file: RemoteFile,
     out: BinaryIO,
-    here: int,
+    offset: int,
     deadline: Deadline,
 ) -> None:
-    """Append what one connection brings of the bytes from `here` on, and no more than announced."""
+    """Append the bytes from `offset` on that one connection brings, at most as announced."""
     url = client.url(reference, commit, file.path)
-    headers = {"Range": f"bytes={here}-"} if here else {}
+    headers = {"Range": f"bytes={offset}-"} if offset else {}
     with opened(client, url, headers, deadline) as answers:
         for answer in answers:
             if (named := answer.headers.get("X-Repo-Commit", commit)) != commit:
@@ -299,14 +299,14 @@ def _append(
             return
         if answer.is_error:
             raise_for(client, answer, deadline)
-        if here and answer.status_code != 206:  # Its answer is the whole file.
+        if offset and answer.status_code != 206:  # Its answer is the whole file.
             out.truncate(0)
-            here = 0
+            offset = 0
         for chunk in chunks_of(answer, limits.BYTES, deadline):
-            out.write(chunk[: file.size - here])
-            here += len(chunk)
-            listener().fetching(file.path, min(here, file.size), file.size)
-            if here >= file.size:
+            out.write(chunk[: file.size - offset])
+            offset += len(chunk)
+            listener().fetching(file.path, min(offset, file.size), file.size)
+            if offset >= file.size:
                 return
 
 
@@ -330,19 +330,19 @@ def _is_whole(part: Path, file: RemoteFile) -> bool:
     return len(file.identity) == _SHA1 and digest.hexdigest() == file.identity
 
 
-def _broken(file: RemoteFile, here: int) -> str:
+def _broken(file: RemoteFile, size: int) -> str:
     return (
-        f"the connection broke at {in_words(here)} of {in_words(file.size)} of {file.path}; "
+        f"the connection broke at {in_words(size)} of {in_words(file.size)} of {file.path}; "
         "going on from there"
     )
 
 
 def _lost(
-    client: Client, reference: Reference, file: RemoteFile, here: int, error: Exception | None
+    client: Client, reference: Reference, file: RemoteFile, size: int, error: Exception | None
 ) -> FetchError:
     lost = unreachable(client, reference, error or EOFError("it sends nothing"))
     return FetchError(
-        f"{lost.message}; {in_words(here)} of {in_words(file.size)} of {file.path} are here",
+        f"{lost.message}; {in_words(size)} of {in_words(file.size)} of {file.path} are here",
         fix="run the same command again to resume",
     )
 
@@ -389,9 +389,9 @@ def bring_robot(reference: Reference) -> Fetched:
             f"{installed} has revision {robot.oid} of it",
             fix=f"write {reference.name}, or install the version of the package that has yours",
         )
-    found = kept(reference, robot.oid)
-    if found is not None:
-        return found
+    fetched = kept(reference, robot.oid)
+    if fetched is not None:
+        return fetched
     listener().message(f"fetching {reference.name}, revision {robot.oid[:12]}: {installed}")
     try:
         root = robot.path(progress=listener().fetching).resolve()

@@ -109,13 +109,13 @@ def parse(text: str, kind: Kind) -> Reference:
     """
     if kind == "robot" and text.startswith(MENAGERIE):
         return _robot_of_menagerie(text)
-    found = _REFERENCE.fullmatch(text)
-    if found is None or ".." in text or "--" in found[1]:
+    match = _REFERENCE.fullmatch(text)
+    if match is None or ".." in text or "--" in match[1]:
         raise _ERRORS[kind](
             f"{clean(text, at_most=100)!r} names nothing on a hub",
             fix="write hub:org/name, or hub:org/name@revision",
         )
-    repository, revision = found[1], found[2] or MAIN
+    repository, revision = match[1], match[2] or MAIN
     return Reference(
         text=text,
         kind=kind,
@@ -126,8 +126,8 @@ def parse(text: str, kind: Kind) -> Reference:
 
 
 def _robot_of_menagerie(text: str) -> Reference:
-    found = _MENAGERIE.fullmatch(text)
-    if found is None:
+    match = _MENAGERIE.fullmatch(text)
+    if match is None:
         raise RobotError(
             f"{clean(text, at_most=100)!r} names no robot of MuJoCo Menagerie",
             fix="write menagerie:NAME, such as menagerie:unitree_go1",
@@ -135,9 +135,9 @@ def _robot_of_menagerie(text: str) -> Reference:
     return Reference(
         text=text,
         kind="robot",
-        repository=f"menagerie/{found[1]}",
-        revision=found[2] or MAIN,
-        label=found[1],
+        repository=f"menagerie/{match[1]}",
+        revision=match[2] or MAIN,
+        label=match[1],
     )
 
 
@@ -214,8 +214,8 @@ def remember_commit(reference: Reference, commit: str) -> None:
 
 def kept(reference: Reference, commit: str) -> Fetched | None:
     """Return what is kept of a reference at a commit; None if nothing is, or not as it came."""
-    found = _read(repository_folder(reference) / commit / reference.label)
-    return found if found is not None and _is_whole(found.folder) else None
+    fetched = _read(repository_folder(reference) / commit / reference.label)
+    return fetched if fetched is not None and _is_whole(fetched.folder) else None
 
 
 def write_list(fetched: Fetched, path: Path) -> None:

@@ -111,7 +111,7 @@ def field_triangles(heights: Any, half: Any, low: Any, high: Any) -> Any:
     dx, dy = 2.0 * half[0] / (columns - 1), 2.0 * half[1] / (rows - 1)
     c0, c1 = _cells(low[0], high[0], half[0], columns)
     r0, r1 = _cells(low[1], high[1], half[1], rows)
-    found = np.empty((2 * max(c1 - c0, 0) * max(r1 - r0, 0), CORNERS))
+    triangles = np.empty((2 * max(c1 - c0, 0) * max(r1 - r0, 0), CORNERS))
     count = 0
     for r in range(r0, r1):
         y = r * dy - half[1]
@@ -124,7 +124,7 @@ def field_triangles(heights: Any, half: Any, low: Any, high: Any) -> Any:
             if min(near, right, up, far) > high[2]:
                 continue
             for half_cell in range(2):
-                t = found[count]
+                t = triangles[count]
                 t[0], t[1], t[2] = x, y, near
                 if half_cell == 0:
                     t[3], t[4], t[5] = x + dx, y, right
@@ -133,7 +133,7 @@ def field_triangles(heights: Any, half: Any, low: Any, high: Any) -> Any:
                     t[3], t[4], t[5] = x + dx, y + dy, far
                     t[6], t[7], t[8] = x, y + dy, up
                 count += 1
-    return found[:count]
+    return triangles[:count]
 
 
 @inlined
@@ -161,7 +161,7 @@ def mesh_triangles(
         high: (3,) upper corner.
     """
     waiting = np.empty(64, dtype=np.int64)
-    found = np.empty((64, CORNERS))
+    triangles = np.empty((64, CORNERS))
     count = 0
     number = 1
     waiting[0] = 0
@@ -171,14 +171,14 @@ def mesh_triangles(
         if _apart(boxes[node], low, high):
             continue
         if leaves[node] >= 0:
-            if count == len(found):
+            if count == len(triangles):
                 more = np.empty((2 * count, CORNERS))
-                more[:count] = found
-                found = more
+                more[:count] = triangles
+                triangles = more
             for corner in range(3):
                 vertex = faces[leaves[node], corner]
                 for axis in range(3):
-                    found[count, 3 * corner + axis] = vertices[vertex, axis]
+                    triangles[count, 3 * corner + axis] = vertices[vertex, axis]
             count += 1
             continue
         if number + 2 > len(waiting):
@@ -189,7 +189,7 @@ def mesh_triangles(
             if children[node, side] >= 0:
                 waiting[number] = children[node, side]
                 number += 1
-    return found[:count]
+    return triangles[:count]
 
 
 # How far into the ground a way out is looked for, metres. At 4 m/s a landing foot gets 3 cm deep.

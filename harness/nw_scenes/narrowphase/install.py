@@ -169,9 +169,9 @@ def _check_numbers() -> None:
         "mjtGeom.mjGEOM_MESH": (mujoco.mjtGeom.mjGEOM_MESH, collide.MESH),
         "mjMAXCONPAIR": (mujoco.mjMAXCONPAIR, collide.MOST_RECORDS),
     }
-    for name, (found, wanted) in known.items():
-        if int(found) != wanted:
-            raise _refused(f"has {int(found)} as {name} in place of {wanted}")
+    for name, (actual, wanted) in known.items():
+        if int(actual) != wanted:
+            raise _refused(f"has {int(actual)} as {name} in place of {wanted}")
 
 
 _ON_PLANE = """
@@ -233,12 +233,12 @@ def _words_of(owners: list[Any], names: tuple[str, ...]) -> dict[str, int]:
     wanted = {tuple(getattr(o, name).ctypes.data for o in owners): name for name in names}
     # The address of the structure itself is told by nothing else.
     starts = [owner._address for owner in owners]  # noqa: SLF001
-    found: dict[str, int] = {}
+    words: dict[str, int] = {}
     for word in range(_WORDS):
         values = tuple(ctypes.c_size_t.from_address(start + 8 * word).value for start in starts)
         if values in wanted:
-            found.setdefault(wanted[values], word)
-        if len(found) == len(names):
-            return found
-    missing = ", ".join(sorted(set(names) - set(found)))
+            words.setdefault(wanted[values], word)
+        if len(words) == len(names):
+            return words
+    missing = ", ".join(sorted(set(names) - set(words)))
     raise _refused(f"keeps {missing} where it cannot be found")

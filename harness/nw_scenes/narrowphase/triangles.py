@@ -225,9 +225,9 @@ def triangle_normal(t: Any) -> Any:
 @inlined
 def _angle(t: Any, corner: Any) -> Any:
     """Return the angle of a triangle at one of its corners, rad."""
-    here, right, left = 3 * corner, 3 * ((corner + 1) % 3), 3 * ((corner + 2) % 3)
-    ux, uy, uz = t[right] - t[here], t[right + 1] - t[here + 1], t[right + 2] - t[here + 2]
-    vx, vy, vz = t[left] - t[here], t[left + 1] - t[here + 1], t[left + 2] - t[here + 2]
+    apex, right, left = 3 * corner, 3 * ((corner + 1) % 3), 3 * ((corner + 2) % 3)
+    ux, uy, uz = t[right] - t[apex], t[right + 1] - t[apex + 1], t[right + 2] - t[apex + 2]
+    vx, vy, vz = t[left] - t[apex], t[left + 1] - t[apex + 1], t[left + 2] - t[apex + 2]
     cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     return math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), ux * vx + uy * vy + uz * vz)
 

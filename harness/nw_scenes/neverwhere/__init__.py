@@ -74,9 +74,9 @@ def inspect_published(
 
     try:
         places = find_places(reference_path(reference), robot)
-        scene, found = _load(places, collision)
+        scene, load_findings = _load(places, collision)
         tree = read_tree(places)
-        findings = [*found, *_between_robots(places, tree)]
+        findings = [*load_findings, *_between_robots(places, tree)]
         if is_scan(tree):
             scan = read_scan(tree, places)
             shift = tree.bodies.get("collision_mesh", np.eye(4))[:3, 3]
@@ -132,8 +132,8 @@ def _load(places: Places, collision: Collision) -> tuple[Scene, list[SceneFindin
             )
         )
     read = _scan if is_scan(tree) else _parametric
-    scene, found = read(tree, places, trail, collision)
-    return scene, findings + found
+    scene, read_findings = read(tree, places, trail, collision)
+    return scene, findings + read_findings
 
 
 def _scan(

@@ -107,16 +107,16 @@ def find_places(reference: Path, robot: str = "go1") -> Places:
             xml = base / f"nw-{each}-{name}.xml"
             if what_is(xml) == "file":
                 return Places(xml=xml, folder=reference, name=name)
-    found = sorted(reference.glob("*.xml"))
+    models = sorted(reference.glob("*.xml"))
     for each in order:
-        named = [xml for xml in found if xml.name.startswith(f"nw-{each}-")]
+        named = [xml for xml in models if xml.name.startswith(f"nw-{each}-")]
         if len(named) == 1:
             return Places(xml=named[0], folder=reference, name=named[0].stem[len(f"nw-{each}-") :])
-    named = [xml for xml in found if xml.stem == name]
-    if named or len(found) == 1:
-        return Places(xml=(named or found)[0], folder=reference, name=name)
+    named = [xml for xml in models if xml.stem == name]
+    if named or len(models) == 1:
+        return Places(xml=(named or models)[0], folder=reference, name=name)
     raise SceneError(
-        f"{reference}: {len(found)} XML files and none is nw-{robot}-{name}.xml",
+        f"{reference}: {len(models)} XML files and none is nw-{robot}-{name}.xml",
         fix="put the scene's XML there, or name the XML instead of the folder",
     )
 

@@ -275,13 +275,13 @@ def read_scan(tree: Tree, places: Places) -> Scan:
 
 
 def _placed(tree: Tree, places: Places, asset: str, body: str) -> tuple[PlacedGeom, Matrix]:
-    found = [geom for geom in tree.geoms if geom.element.get("mesh") == asset]
-    if asset not in tree.meshes or not found:
+    geoms = [geom for geom in tree.geoms if geom.element.get("mesh") == asset]
+    if asset not in tree.meshes or not geoms:
         raise SceneError(
             f"{places.xml}: no {'asset' if asset not in tree.meshes else 'geom'} of mesh {asset!r}",
             fix="a scanned scene needs visual_mesh and collision_mesh, each with a geom",
         )
-    geom = found[0]
+    geom = geoms[0]
     owner = geom.bodies[-1] if geom.bodies else ""
     return geom, tree.bodies.get(body, tree.bodies.get(owner, np.eye(4)))
 
@@ -401,19 +401,19 @@ def consistency_findings(
     visual: TriangleMesh, collision: TriangleMesh, shift: Values
 ) -> tuple[SceneFinding, ...]:
     """Return the finding that the meshes disagree, with numbers, or nothing."""
-    found = compare(visual, collision, shift)
-    if found.median <= _MEDIAN_LIMIT and found.share_off <= _SHARE_LIMIT:
+    difference = compare(visual, collision, shift)
+    if difference.median <= _MEDIAN_LIMIT and difference.share_off <= _SHARE_LIMIT:
         return ()
     return (
         SceneFinding(
             code="inconsistent_meshes",
             severity="error",
             message="collision mesh and placed visual mesh do not coincide: median distance "
-            f"{1000 * found.median:.1f} mm, 95 % within {1000 * found.p95:.0f} mm, "
-            f"{100 * found.share_off:.0f} % of the surface more than {1000 * _OFF:.0f} mm off",
+            f"{1000 * difference.median:.1f} mm, 95 % within {1000 * difference.p95:.0f} mm, "
+            f"{100 * difference.share_off:.0f} % of the surface more than {1000 * _OFF:.0f} mm off",
             fix="XML and meshes are of different ages, or scale, pos or euler are wrong: "
             "take all from one download",
-            value=found.median,
+            value=difference.median,
         ),
     )
 

@@ -87,8 +87,8 @@ def robot_names() -> tuple[str, ...]:
     They are those of built-in robots, of installed packages, of the folders in `robots/` of the
     working directory, and of folders that were found by their paths before.
     """
-    here = (path.parent.name for path in Path.cwd().glob(f"{_FOLDER}/*/robot.yaml"))
-    return tuple(sorted({*BUILT_IN, *installed(ROBOTS), *here, *_folders}))
+    local = (path.parent.name for path in Path.cwd().glob(f"{_FOLDER}/*/robot.yaml"))
+    return tuple(sorted({*BUILT_IN, *installed(ROBOTS), *local, *_folders}))
 
 
 def get_robot(reference: str) -> RobotSpec:
@@ -125,14 +125,14 @@ def find_robot(reference: str, base: Path | None = None) -> FoundRobot:
     if _is_path(reference):
         return _of_folder(Path(base or Path.cwd(), reference))
     name, _, identity = reference.partition("@")
-    found = _named(name)
-    if identity and found.identity != identity:
-        where = f" in {found.folder}" if found.folder is not None else ""
+    robot = _named(name)
+    if identity and robot.identity != identity:
+        where = f" in {robot.folder}" if robot.folder is not None else ""
         raise RobotError(
-            f"the robot {name!r}{where} is {found.identity or 'built in'}, {identity} is meant",
+            f"the robot {name!r}{where} is {robot.identity or 'built in'}, {identity} is meant",
             fix="name the folder that is meant with --robot, or install that version",
         )
-    return found
+    return robot
 
 
 def robot_folder(reference: str) -> Path | None:
@@ -235,11 +235,11 @@ def _of_folder(folder: Path, *, is_known: bool = True) -> FoundRobot:
         stamps = _stamps(folder, read.files)
         spec, identity = spec_of(read), read.digest[:_DIGITS]
         notes = (*read.notes, *(f"not simulated: {each}" for each in read.account.sentences()))
-        found = FoundRobot(spec=spec, identity=identity, folder=folder, notes=notes)
-        before = _read[folder] = _Read(found, read.files, stamps)
+        robot = FoundRobot(spec=spec, identity=identity, folder=folder, notes=notes)
+        before = _read[folder] = _Read(robot, read.files, stamps)
     if is_known:
-        _folders[before.found.spec.name] = folder
-    return before.found
+        _folders[before.robot.spec.name] = folder
+    return before.robot
 
 
 def _fetched_folder(reference: str) -> Path:
@@ -273,7 +273,7 @@ def _of_fetched(reference: str) -> FoundRobot:
 class _Read(NamedTuple):
     """A folder that was read in this process."""
 
-    found: FoundRobot
+    robot: FoundRobot
     files: tuple[str, ...]
     stamps: tuple[tuple[int, int], ...]
 
@@ -300,7 +300,7 @@ def _of_package(name: str) -> FoundRobot:
     try:
         value = imported(ROBOTS, name)
         made = value() if callable(value) else value
-        found = made if isinstance(made, RobotSpec) else _of_folder(Path(str(made)), is_known=False)
+        robot = made if isinstance(made, RobotSpec) else _of_folder(Path(str(made)), is_known=False)
     except UsageError:
         raise
     except PluginError as error:  # The error of robots, which is told beside a suite's others.
@@ -310,11 +310,11 @@ def _of_package(name: str) -> FoundRobot:
             f"{whose} cannot be used: {type(error).__name__}: {error}",
             fix="mend or uninstall that package",
         ) from error
-    spec = found if isinstance(found, RobotSpec) else found.spec
+    spec = robot if isinstance(robot, RobotSpec) else robot.spec
     if spec.name != name:
         raise RobotError(f"{whose} is the robot {spec.name!r}", fix="give both the same name")
     package, version, *code = identity_of(ROBOTS, name).split()
     identity = "-".join((package, version, *(each[:_DIGITS] for each in code)))
-    if not isinstance(found, RobotSpec):
-        identity += f"-{found.identity}"
+    if not isinstance(robot, RobotSpec):
+        identity += f"-{robot.identity}"
     return FoundRobot(spec=spec, identity=identity)

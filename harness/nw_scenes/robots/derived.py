@@ -446,7 +446,7 @@ class _Derivation(CompiledRobot):
 
         Several motors of a joint add up. What they have beyond that, the account says.
         """
-        model, found = self.model, dict[str, _Motor]()
+        model, motors = self.model, dict[str, _Motor]()
         for motor in range(len(model.actuator_trntype)):  # Some have several controls.
             name = str(model.actuator(motor).name) or str(motor)
             if int(model.actuator_trntype[motor]) not in _ON_JOINTS:
@@ -489,8 +489,8 @@ class _Derivation(CompiledRobot):
                 armature=float(model.actuator_armature[motor]) * gear * gear,
                 damping=float(model.actuator_damping[motor]) * gear * gear,
             )
-            found[joint] = found[joint].beside(more) if joint in found else more
-        return found
+            motors[joint] = motors[joint].beside(more) if joint in motors else more
+        return motors
 
     def _loses(self, motor: str, what: str) -> None:
         line = next(

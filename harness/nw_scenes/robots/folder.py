@@ -308,8 +308,8 @@ class RobotFolder:
         A link of a URDF is a body.
         """
         wanted = {*tags, "link"} if "body" in tags else set(tags)
-        found = (e for e in self.model.iter() if e.get("name") == name and e.tag in wanted)
-        return next((self.lines.get(element, 1) for element in found), 1)
+        elements = (e for e in self.model.iter() if e.get("name") == name and e.tag in wanted)
+        return next((self.lines.get(element, 1) for element in elements), 1)
 
 
 def read_folder(
@@ -415,9 +415,9 @@ class _Reader:
         except ValueError as error:
             problem = self.file.problem(("model", "file"), f"model.file: {error}")
             raise RobotError([problem]) from None
-        found = self.seen[model.file]
-        if model.sha256 is not None and model.sha256.lower() != found:
-            message = f"model.sha256: that of {model.file} is {found}"
+        digest = self.seen[model.file]
+        if model.sha256 is not None and model.sha256.lower() != digest:
+            message = f"model.sha256: that of {model.file} is {digest}"
             problem = self.file.problem(("model", "sha256"), message, "write it, if that is meant")
             raise RobotError([problem])
         root = self._tree(content, {"mujoco", "robot"})
@@ -687,12 +687,12 @@ class _Reader:
         ends = ["/".join(parts[at:]) for at in range(max(1, len(parts) - 1))]
         if len(parts) == 2:  # A mesh beside the package's own file.
             ends.append(parts[1])
-        found = next(filter(self._has, ends), None)
-        if found is None:
+        match = next(filter(self._has, ends), None)
+        if match is None:
             return file if file.startswith("file:") else "/".join(parts[1:] or parts)
-        if found not in {"/".join(parts), "/".join(parts[1:])}:
-            self.account.passes(f"the beginning of {file[: -len(found)]}", "meshes lie in FOLDER")
-        return found
+        if match not in {"/".join(parts), "/".join(parts[1:])}:
+            self.account.passes(f"the beginning of {file[: -len(match)]}", "meshes lie in FOLDER")
+        return match
 
     def _named(self, path: str | Path, content: bytes) -> str:
         """Keep a mesh, and return the name that it has from now on."""

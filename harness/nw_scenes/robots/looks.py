@@ -106,9 +106,9 @@ def thinned(vertices: Array, faces: Faces, most: int) -> Triangles:
         cells = np.minimum(((points - low) * (count / side)).astype(np.int64), count - 1)
         wide = count + 1
         flat = (cells[:, 0] * wide + cells[:, 1]) * wide + cells[:, 2]
-        found, own = np.unique(flat, return_inverse=True)
+        codes, own = np.unique(flat, return_inverse=True)
         own = own.reshape(-1)
-        places = np.stack([found // wide**2, found // wide % wide, found % wide], axis=1)
+        places = np.stack([codes // wide**2, codes // wide % wide, codes % wide], axis=1)
         return places * (side / count) + low, _whole(own[corners]), own
 
     # The finest grid that has no more faces; nearly always, a finer one has more.

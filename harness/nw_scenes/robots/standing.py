@@ -133,14 +133,14 @@ class LevelGround:
                 measure.take(data)
         weight = float(model.body_mass.sum()) * _GRAVITY
         forces = measure.pushes / _MEASURED
-        found = np.flatnonzero(forces > _CARRIES * weight).tolist()
+        carriers = np.flatnonzero(forces > _CARRIES * weight).tolist()
         is_sound = bool(np.isfinite(data.qpos).all()) and not data.warning.number.any()
         upright = float(data.xmat[self._root, 8]) if is_sound else -1.0
         height = float(data.xpos[self._root, 2])
         name = [str(model.body(number).name) for number in range(model.nbody)]
         return Drop(
             forces={name[n]: float(forces[n]) for n in np.flatnonzero(forces > 0.0).tolist()},
-            carriers=tuple(name[number] for number in found),
+            carriers=tuple(name[number] for number in carriers),
             torques=tuple((measure.torques / _MEASURED).tolist()),
             positions=tuple(data.qpos[self._places].tolist()),
             self_contacts=tuple((name[one], name[other]) for one, other in sorted(measure.own)),
@@ -151,8 +151,8 @@ class LevelGround:
             stands=(
                 upright > _UPRIGHT
                 and height > _SUNK * start
-                and self._root not in found
-                and bool(found)
+                and self._root not in carriers
+                and bool(carriers)
             ),
         )
 
@@ -249,16 +249,16 @@ def _pitch_joints(
     model: Any, data: Any, foot: str, ranges: dict[str, tuple[float, float]]
 ) -> dict[str, float]:
     """Return the joints of pitch above a foot from the root on, and which way each turns."""
-    found: dict[str, float] = {}
+    joints: dict[str, float] = {}
     body = int(model.body(foot).id)
     while body > 0:
         first = int(model.body_jntadr[body])
         for joint in range(first, first + int(model.body_jntnum[body])):
             name, turn = str(model.joint(joint).name), float(data.xaxis[joint, 1])
             if name in ranges and abs(turn) > _SIDEWAYS:
-                found = {name: float(np.sign(turn)), **found}
+                joints = {name: float(np.sign(turn)), **joints}
         body = int(model.body_parentid[body])
-    return found
+    return joints
 
 
 def _bent(

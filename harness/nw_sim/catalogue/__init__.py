@@ -116,9 +116,9 @@ def from_folder(reference: str, folder: Path) -> str:
     """Return what names the same scene from another folder: a path in it starts there."""
     plain, collision = parse_reference(reference)
     begin = _TRIANGLES if collision == "triangles" else ""
-    here = folder_of(plain) or _rung_folder(plain, None)
-    if here is not None:
-        return begin + Path(os.path.relpath(here, folder)).as_posix()
+    scene_folder = folder_of(plain) or _rung_folder(plain, None)
+    if scene_folder is not None:
+        return begin + Path(os.path.relpath(scene_folder, folder)).as_posix()
     if plain.startswith(PREFIX) and what_is(path := reference_path(plain)) != "nothing":
         return begin + PREFIX + Path(os.path.relpath(path, folder)).as_posix()
     return reference
@@ -155,14 +155,14 @@ def references(
         SceneError: a pattern matches nothing, with the nearest name.
         FetchError, PrerequisiteError, StoreError: as `brought`.
     """
-    found: dict[tuple[str, Collision], None] = {}
+    scenes: dict[tuple[str, Collision], None] = {}
     for pattern in patterns:
         plain, written = parse_reference(pattern)
         way = written if collision is None else collision
         for reference in _match(plain, Path() if base is None else base):
             # Boxes collide exactly as they are.
-            found[reference, "terrain" if is_built_in(reference) else way] = None
-    return tuple(found)
+            scenes[reference, "terrain" if is_built_in(reference) else way] = None
+    return tuple(scenes)
 
 
 def is_built_in(reference: str) -> bool:
@@ -199,11 +199,11 @@ def _match(pattern: str, base: Path) -> list[str]:
         return list(matched)
     if not pattern:
         raise SceneError("a scene pattern is empty", fix=f"name one of: {', '.join(names())}")
-    here = brought(pattern, base)
-    if here.startswith(PREFIX):
-        return [f"{PREFIX}{(base / reference_path(here)).resolve()}"]
-    if here != pattern:
-        return [here]
+    local = brought(pattern, base)
+    if local.startswith(PREFIX):
+        return [f"{PREFIX}{(base / reference_path(local)).resolve()}"]
+    if local != pattern:
+        return [local]
     folder = base / pattern
     if what_is(folder) == "folder":
         return [str(folder.resolve())]
@@ -224,8 +224,8 @@ def _rungs(pattern: str, base: Path) -> list[str]:
         return [str(each.resolve()) for _, each in load_ladder(folder).rungs]
     plain, number = parted(values)
     if not any(mark in name + plain for mark in "*?["):
-        found = rung(pattern)
-        return [] if found is None else [found.name]
+        entry = rung(pattern)
+        return [] if entry is None else [entry.name]
     mine = [FAMILIES[each] for each in FAMILIES if fnmatchcase(each, name)]
     all_rungs = [each.entry(value, number).name for each in mine for value in each.rungs]
     wanted = f"{name}@{plain}" if number is None else f"{name}@{plain}~{number}"
@@ -246,8 +246,8 @@ def _folders(pattern: Path) -> list[Path]:
     """Return the scene folders that a pattern of paths matches, sorted."""
     start = Path(pattern.anchor)
     try:
-        found = start.glob(str(pattern.relative_to(start) / SCENE_FILE))
-        return sorted(file.parent for file in found)
+        files = start.glob(str(pattern.relative_to(start) / SCENE_FILE))
+        return sorted(file.parent for file in files)
     except (ValueError, OSError):
         return []  # Not a pattern that paths can have.
 
@@ -450,10 +450,10 @@ def scene_files(reference: str) -> SceneFiles | None:
     folder, code = places.folder.resolve(), places.xml.parent.resolve()
     # The names of folder and XML say which scene it is, so they stay.
     root = Path(commonpath([folder, code])).parent
-    found = [file for file in folder.rglob("*") if file.is_file()]
-    found += [file for file in code.rglob("*.xml") if file.is_file()]
+    files = [file for file in folder.rglob("*") if file.is_file()]
+    files += [file for file in code.rglob("*.xml") if file.is_file()]
     return SceneFiles(
-        files={file.relative_to(root).as_posix(): file for file in found},
+        files={file.relative_to(root).as_posix(): file for file in files},
         entry=path.relative_to(root).as_posix(),
         prefix=PREFIX,
     )
@@ -492,18 +492,18 @@ def inspect_scene(
     from nw_sim.survey.course import course_findings
 
     try:
-        scene, found = _checked(reference, read_splat=read_splat)
+        scene, findings = _checked(reference, read_splat=read_splat)
         if scene is not None:
-            found = (*found, *course_findings(scene, robot))
+            findings = (*findings, *course_findings(scene, robot))
         surveyed = None
-        if scene is not None and not has_errors(found):
+        if scene is not None and not has_errors(findings):
             surveyed = survey_scene(scene, robot=robot, read_splat=read_splat)
-            found = (*found, *surveyed.findings)
+            findings = (*findings, *surveyed.findings)
     except SceneError as error:
         return InspectedScene(findings=unreadable(error), survey=None)
     order = ("error", "warning", "note")
     return InspectedScene(
-        findings=tuple(sorted(found, key=lambda finding: order.index(finding.severity))),
+        findings=tuple(sorted(findings, key=lambda finding: order.index(finding.severity))),
         survey=surveyed,
     )
 
@@ -515,13 +515,13 @@ def _checked(
     from nw_scenes.check import check_scene
 
     plain, collision = parse_reference(str(reference))
-    here = brought(plain)
-    if here.startswith(PREFIX):
-        published = inspect_published(here, collision=collision)
+    local = brought(plain)
+    if local.startswith(PREFIX):
+        published = inspect_published(local, collision=collision)
         return published.scene, published.findings
-    folder = folder_of(here)
+    folder = folder_of(local)
     if folder is not None:
-        scene, found = inspect_folder(folder, collision=collision)
+        scene, findings = inspect_folder(folder, collision=collision)
     else:
-        scene, found = open_scene(here, collision), ()
-    return scene, (*found, *check_scene(scene, read_splat=read_splat))
+        scene, findings = open_scene(local, collision), ()
+    return scene, (*findings, *check_scene(scene, read_splat=read_splat))

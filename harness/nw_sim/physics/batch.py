@@ -187,9 +187,9 @@ def solid_distances(scene: Scene, origins: Array, directions: Array) -> Array:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     met = np.zeros(1, dtype=np.int32)
-    found = [
+    distances = [
         mujoco.mj_ray(model, data, origin, direction, None, 1, -1, met, None)
         for origin, direction in zip(origins, directions, strict=True)
     ]
-    distance = np.array(found)
+    distance = np.array(distances)
     return np.where(distance >= 0, distance, np.inf)

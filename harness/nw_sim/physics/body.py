@@ -149,11 +149,13 @@ class Body:
         """
         place = self.camera_pose(name)[:3, 3]
         body = self._carrier(self.robot.cameras[name])
-        found = np.empty(6)  # Angular, then of the body's origin.
-        mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, body, found, 0)
-        x, y, z = found[:3]
+        velocity = np.empty(6)  # Angular, then of the body's origin.
+        mujoco.mj_objectVelocity(
+            self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0
+        )
+        x, y, z = velocity[:3]
         turning = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        return found[3:] + turning @ (place - self._data.xpos[body]), found[:3]
+        return velocity[3:] + turning @ (place - self._data.xpos[body]), velocity[:3]
 
     def _carrier(self, mount: CameraMount | ImuMount) -> int:
         return int(self._model.body(mount.body).id) if mount.body else self._trunk
@@ -174,10 +176,10 @@ class Body:
             return self.trunk_angular_velocity
         rates = self.trunk_angular_velocity
         if imu.body:
-            found = np.empty(6)
+            velocity = np.empty(6)
             kind = mujoco.mjtObj.mjOBJ_XBODY
-            mujoco.mj_objectVelocity(self._model, self._data, kind, self._carrier(imu), found, 1)
-            rates = found[:3]
+            mujoco.mj_objectVelocity(self._model, self._data, kind, self._carrier(imu), velocity, 1)
+            rates = velocity[:3]
         return same_bits.product(rates, np.array(imu.R_body_imu))
 
     def moving(self) -> tuple[Array, Array, Array, Array, Array]:
@@ -224,7 +226,7 @@ class Body:
 
         The hip is the first joint of its leg; joints turn within their ranges. The state is lost.
         """
-        model, data, found = self._model, self._data, np.zeros(len(self.robot.feet))
+        model, data, reaches = self._model, self._data, np.zeros(len(self.robot.feet))
         for row, geoms in enumerate(geoms_of(model, self.robot, self.robot.feet)):
             number = int(model.geom_bodyid[geoms[0]])
             chain: list[int] = []
@@ -255,8 +257,8 @@ class Body:
                     if (far := away()) > best + 1e-9:
                         best, kept = far, angle
                 data.qpos[place] = kept
-            found[row] = best
-        return found
+            reaches[row] = best
+        return reaches
 
     def trunk_length(self) -> float:
         """Return how long the trunk's shapes are along the world's x, in m, legs left out."""

@@ -199,8 +199,8 @@ class ContactForces:
             if second is not None:
                 sum_x, sum_y, sum_z = forces[second]
                 forces[second] = sum_x + x, sum_y + y, sum_z + z
-        found = np.array([math.sqrt(x * x + y * y + z * z) for x, y, z in forces])
-        return found if self._order is None else found[self._order]
+        norms = np.array([math.sqrt(x * x + y * y + z * z) for x, y, z in forces])
+        return norms if self._order is None else norms[self._order]
 
 
 def _contact_force(

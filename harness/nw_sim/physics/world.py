@@ -387,10 +387,10 @@ class World(Body):
                 R_world_trunk=self.trunk_rotation,
                 gravity=self._model.opt.gravity,
             )
-        found, kind = np.empty(6), mujoco.mjtObj.mjOBJ_XBODY
+        acceleration, kind = np.empty(6), mujoco.mjtObj.mjOBJ_XBODY
         body = self._carrier(imu)
-        mujoco.mj_objectVelocity(self._model, self._data, kind, body, found, 1)
-        rates, change = found[:3], self._forces.acceleration[:3]
+        mujoco.mj_objectVelocity(self._model, self._data, kind, body, acceleration, 1)
+        rates, change = acceleration[:3], self._forces.acceleration[:3]
         # The acceleration of the body's origin is given without gravity, as a sensor has it.
         own = self._forces.acceleration[3:]
         return own + np.cross(rates, np.cross(rates, at)) + np.cross(change, at)
@@ -400,10 +400,12 @@ class World(Body):
         imu = self.robot.imu
         if imu is None or not imu.body:
             return self._data.qacc[self._rates].copy()
-        found, kind = np.empty(6), mujoco.mjtObj.mjOBJ_XBODY
+        acceleration, kind = np.empty(6), mujoco.mjtObj.mjOBJ_XBODY
         mujoco.mj_rnePostConstraint(self._model, self._data)
-        mujoco.mj_objectAcceleration(self._model, self._data, kind, self._carrier(imu), found, 1)
-        return found
+        mujoco.mj_objectAcceleration(
+            self._model, self._data, kind, self._carrier(imu), acceleration, 1
+        )
+        return acceleration
 
     @property
     def torques(self) -> Array:

@@ -375,8 +375,8 @@ class Attempt:
     def figures(self) -> str:
         """The share of each command that is reached, and was."""
         return ", ".join(
-            f"{now.motion.words} {_share(now)} (was {_share(was)})"
-            for now, was in zip(self.followed, self.written, strict=True)
+            f"{current.motion.words} {_share(current)} (was {_share(was)})"
+            for current, was in zip(self.followed, self.written, strict=True)
         )
 
 
@@ -405,14 +405,14 @@ def compare(
             written.append(one)  # noqa: PERF402 - what was before a cut is kept.
     except SpentError:
         return written, [*command_findings(written), _cut(rig, "fault", "every command")]
-    found = [] if recording.stumbles else command_findings(written)
+    findings = [] if recording.stumbles else command_findings(written)
     if not recording.sees_images:
         trials = None if isinstance(card.command, ConstantCommand) else _Trials(rig, card)
         others = _others(rig, card, robot, written, trials, stumbles=recording.stumbles)
         if trials is not None and not any(one.kind == "fault" for one in others):
-            found = _excused(found, written, trials)
-        found += others
-    return ([] if recording.stumbles else written), found
+            findings = _excused(findings, written, trials)
+        findings += others
+    return ([] if recording.stumbles else written), findings
 
 
 class _Trials:
@@ -445,18 +445,18 @@ def _walk(rig: Rig, card: Card) -> Walk:
 
 
 def _excused(
-    found: list[ProbeFinding], written: Sequence[Followed], trials: _Trials
+    findings: list[ProbeFinding], written: Sequence[Followed], trials: _Trials
 ) -> list[ProbeFinding]:
     """Return what is missed as notes where the trial is completed and no command is reversed."""
-    faulty = any(one.kind == "fault" for one in found)
+    faulty = any(one.kind == "fault" for one in findings)
     if not faulty or stands_still(written) or any(one.is_opposite for one in written):
-        return found
+        return findings
     try:
         if not trials.written.completed:
-            return found
+            return findings
     except SpentError:
-        return found
-    return [replace(one, kind="note") for one in found]
+        return findings
+    return [replace(one, kind="note") for one in findings]
 
 
 def _tried(card: Card, recording: Recording) -> list[Motion]:
@@ -548,8 +548,8 @@ def attempts(
                 continue  # Not even that: the card has it right in this respect.
             if followed is not None:
                 limit = deviation(followed) - _SLIGHTLY
-                again = dict(zip(order, followed, strict=True))
-                in_order = [again[place] for place in range(len(written))]
+                changed = dict(zip(order, followed, strict=True))
+                in_order = [changed[place] for place in range(len(written))]
                 best = Attempt(hypothesis=hypothesis, written=written, followed=in_order)
                 yield best
                 if deviation(followed) < _ENOUGH:

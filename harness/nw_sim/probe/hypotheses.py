@@ -424,8 +424,8 @@ def absolute_terms(card: Card) -> Iterator[tuple[str, Card]]:
 
 def framed_terms(card: Card) -> Iterator[tuple[str, Card]]:
     """Yield cards whose velocities are along other axes."""
-    found = {term.term: term for term in _terms(card)}
-    for name, term in found.items():
+    terms = {term.term: term for term in _terms(card)}
+    for name, term in terms.items():
         if isinstance(term, AngularVelocity | LinearVelocity):
             frames = ("trunk", "world") if name == "ang_vel" else ("trunk", "world", "yaw")
             for frame in frames:

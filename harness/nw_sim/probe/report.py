@@ -243,8 +243,8 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
     ]
     if scene == FLAT:
         metered = Metered(rig, simulated=_BUDGET, deadline=deadline)
-        followed, found = compare(metered, card, robot, recording)
-        findings += found
+        followed, command_findings = compare(metered, card, robot, recording)
+        findings += command_findings
     runtimes = compare_runtimes(bundle, recording) if is_computed(bundle) else None
     findings += runtime_findings(bundle, runtimes)
     return ProbeReport(
@@ -279,10 +279,10 @@ def _term(value: Range) -> ProbedTerm:
 
 def _networks(card: Card, recording: Recording) -> tuple[ProbedOutput, ...]:
     """Return what each output of each network gave."""
-    found: list[ProbedOutput] = []
+    outputs: list[ProbedOutput] = []
     for name, output in network_outputs(card):
         values = recording.fed[output].reshape(len(recording.actions), -1).astype(np.float64)
-        found.append(
+        outputs.append(
             ProbedOutput(
                 network=name,
                 output=output,
@@ -294,7 +294,7 @@ def _networks(card: Card, recording: Recording) -> tuple[ProbedOutput, ...]:
                 constant=int((values == values[:1]).all(axis=0).sum()),
             )
         )
-    return tuple(found)
+    return tuple(outputs)
 
 
 def _joints(card: Card, robot: RobotSpec, recording: Recording) -> tuple[ProbedJoint, ...]:

@@ -158,20 +158,20 @@ class CheckedRobot:
     """What is odd, or worth knowing."""
 
 
-def summary_of(found: FoundRobot) -> RobotSummary:
+def summary_of(entry: FoundRobot) -> RobotSummary:
     """Return all that is known of a robot.
 
     Raises:
         RobotError: its folder cannot be read any more.
     """
-    robot = found.spec
+    robot = entry.spec
     ground = LevelGround(robot)
-    sources, of_joints = _sources(found)
+    sources, of_joints = _sources(entry)
     eyes = tuple(_eye(name, mount) for name, mount in robot.cameras.items())
     return RobotSummary(
         name=robot.name,
-        reference=found.reference,
-        place=place_of(found),
+        reference=entry.reference,
+        place=place_of(entry),
         mass=ground.mass,
         root=robot.root,
         bodies=len(robot.bodies),
@@ -201,11 +201,11 @@ def summary_of(found: FoundRobot) -> RobotSummary:
     )
 
 
-def place_of(found: FoundRobot) -> str:
+def place_of(entry: FoundRobot) -> str:
     """Return where a robot is from."""
-    if found.folder is not None:
-        return str(found.folder)
-    return f"package {found.identity}" if found.identity else "nw-eval"
+    if entry.folder is not None:
+        return str(entry.folder)
+    return f"package {entry.identity}" if entry.identity else "nw-eval"
 
 
 def _eye(name: str, mount: CameraMount) -> RobotEye:
@@ -235,15 +235,15 @@ _DERIVED = {
 }
 
 
-def _sources(found: FoundRobot) -> tuple[dict[str, str], list[str]]:
+def _sources(entry: FoundRobot) -> tuple[dict[str, str], list[str]]:
     """Return where each setting is from, and where each joint's motor is."""
-    robot = found.spec
-    if found.folder is None:
-        return dict.fromkeys(_DERIVED, place_of(found)), [place_of(found)] * len(robot.joints)
+    robot = entry.spec
+    if entry.folder is None:
+        return dict.fromkeys(_DERIVED, place_of(entry)), [place_of(entry)] * len(robot.joints)
     from nw_scenes.robots.derived import facts_of
     from nw_scenes.robots.folder import ROBOT_FILE, read_folder
 
-    folder = read_folder(found.folder)
+    folder = read_folder(entry.folder)
     settings, model = folder.settings, folder.settings.model.file
 
     def line(*key: str | int) -> str:
@@ -342,10 +342,10 @@ def _size(folder: Path | None) -> int:
 
 def _check(*, robot: str) -> dict[str, Any]:
     """Stand a robot, and draw it; as plain values."""
-    checked, dropped, found = check_here(robot)
+    checked, dropped, entry = check_here(robot)
     return {
         "checked": asdict(checked),
-        "picture": b64encode(_picture(found.spec, dropped, checked)).decode(),
+        "picture": b64encode(_picture(entry.spec, dropped, checked)).decode(),
     }
 
 
@@ -355,8 +355,8 @@ def check_here(reference: str) -> tuple[CheckedRobot, Drop, FoundRobot]:
     Raises:
         UsageError, RobotError: as `check_robot`.
     """
-    found = find_robot(reference)
-    robot, ground = found.spec, LevelGround(found.spec)
+    entry = find_robot(reference)
+    robot, ground = entry.spec, LevelGround(entry.spec)
     free = ground.drop()
     held = len(robot.feet) < 3
     dropped = ground.drop(held=True) if held else free
@@ -369,7 +369,7 @@ def check_here(reference: str) -> tuple[CheckedRobot, Drop, FoundRobot]:
     carriers = tuple(body for body in others if body in dropped.carriers)
     checked = CheckedRobot(
         name=robot.name,
-        place=place_of(found),
+        place=place_of(entry),
         mass=ground.mass,
         spawn_height=dropped.spawn_height,
         height=dropped.height,
@@ -386,20 +386,20 @@ def check_here(reference: str) -> tuple[CheckedRobot, Drop, FoundRobot]:
         torque_shares=dict(zip(robot.joints, shares, strict=True)),
         self_contacts=dropped.self_contacts,
         eye=_eye("ego", robot.cameras["ego"]),
-        notes=tuple(_notes(found, dropped, free, shares, carriers, feet)),
+        notes=tuple(_notes(entry, dropped, free, shares, carriers, feet)),
     )
-    return checked, dropped, found
+    return checked, dropped, entry
 
 
 def _notes(
-    found: FoundRobot,
+    entry: FoundRobot,
     dropped: Drop,
     free: Drop,
     shares: Sequence[float],
     carriers: Sequence[str],
     feet: Sequence[str],
 ) -> list[str]:
-    robot, notes = found.spec, list[str]()
+    robot, notes = entry.spec, list[str]()
     if dropped is not free and not free.stands:
         when = "" if free.fell_after is None else f" after {free.fell_after:.2f} s"
         notes.append(f"released, it falls{when}: its gains do not balance it, so its policy must")
@@ -430,11 +430,11 @@ def _notes(
     if dropped.self_contacts:
         pairs = [f"{one} and {other}" for one, other in dropped.self_contacts]
         notes.append(f"it touches itself: {_few(pairs)}")
-    return [*notes, *_joint_notes(found), *found.notes]
+    return [*notes, *_joint_notes(entry), *entry.notes]
 
 
-def _joint_notes(found: FoundRobot) -> list[str]:
-    robot, notes = found.spec, list[str]()
+def _joint_notes(entry: FoundRobot) -> list[str]:
+    robot, notes = entry.spec, list[str]()
     ranges = zip(robot.joints, robot.joint_ranges, robot.default_pose, strict=True)
     unlimited: list[str] = []
     beyond: list[str] = []
@@ -445,10 +445,10 @@ def _joint_notes(found: FoundRobot) -> list[str]:
             beyond.append(f"{name} {pose:.2f} of {low:.2f}..{high:.2f}")
     if beyond:
         notes.append(f"the pose is beyond the range of {_few(beyond)}")
-    if unlimited and found.folder is not None:
+    if unlimited and entry.folder is not None:
         from nw_scenes.robots.folder import read_folder
 
-        folder = read_folder(found.folder)
+        folder = read_folder(entry.folder)
         file = folder.settings.model.file
         unlimited = [f"{name} ({file}:{folder.line_of(name, 'joint')})" for name in unlimited]
     if unlimited:

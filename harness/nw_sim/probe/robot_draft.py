@@ -342,7 +342,7 @@ def _patterns(names: Sequence[str], joints: Sequence[str]) -> list[str]:
     """Return patterns that match some of the joints, and none of the others."""
     if set(names) == set(joints):
         return ["*"]
-    others, left, found = set(joints) - set(names), list(names), list[str]()
+    others, left, patterns = set(joints) - set(names), list(names), list[str]()
     while left:
         name = left[0]
         # `*_joint`, `*_calf_joint`, and so on: the shortest that matches none of the others.
@@ -350,6 +350,6 @@ def _patterns(names: Sequence[str], joints: Sequence[str]) -> list[str]:
         tries = [f"*{name[i:]}" for i in reversed(cuts)]
         fitting = (p for p in tries if not any(fnmatchcase(other, p) for other in others))
         pattern = next(fitting, name)
-        found.append(pattern)
+        patterns.append(pattern)
         left = [one for one in left if not fnmatchcase(one, pattern) and one != pattern]
-    return found
+    return patterns

@@ -83,9 +83,9 @@ def compare_runtimes(bundle: Bundle, recording: Recording) -> ProbedRuntimes:
         return ProbedRuntimes(
             depends_on=reason, output="action", difference=sys.float_info.max, reason=str(error)
         )
-    found = {name: _difference(native[name], ours[name]) for name in native}
-    output = max(found, key=lambda name: found[name])
-    return ProbedRuntimes(depends_on=reason, output=output, difference=found[output])
+    differences = {name: _difference(native[name], ours[name]) for name in native}
+    output = max(differences, key=lambda name: differences[name])
+    return ProbedRuntimes(depends_on=reason, output=output, difference=differences[output])
 
 
 def runtime_findings(bundle: Bundle, runtimes: ProbedRuntimes | None) -> Iterator[ProbeFinding]:
@@ -120,12 +120,12 @@ def _drawn(recording: Recording) -> Iterator[Observation]:
     """Yield random observations, each number evenly between its least and its largest."""
     random = np.random.default_rng(0)
     for _ in range(STEPS):
-        found: dict[str, NDArray[Any]] = {}
+        arrays: dict[str, NDArray[Any]] = {}
         for name, seen in recording.observations.items():
             low, high = seen.min(axis=0), seen.max(axis=0)
             drawn = low + random.random(low.shape) * (high.astype(np.float64) - low)
-            found[name] = drawn.astype(seen.dtype)
-        yield found
+            arrays[name] = drawn.astype(seen.dtype)
+        yield arrays
 
 
 def _difference(native: NDArray[Any], ours: NDArray[Any]) -> float:
@@ -135,5 +135,5 @@ def _difference(native: NDArray[Any], ours: NDArray[Any]) -> float:
     if np.array_equal(native, ours, equal_nan=True):
         return 0.0
     largest = float(np.abs(native).max(initial=0.0))
-    found = float(np.abs(ours.astype(np.float64) - native).max(initial=0.0)) / (largest or 1.0)
-    return found if math.isfinite(found) else sys.float_info.max
+    difference = float(np.abs(ours.astype(np.float64) - native).max(initial=0.0)) / (largest or 1.0)
+    return difference if math.isfinite(difference) else sys.float_info.max

@@ -313,13 +313,13 @@ def _files(card: Card, path: Path, chosen: Path | None) -> tuple[CardFile, ...]:
         own = _file(card, "", None, card.checkpoint.file, problem=str(error))
         fed = card.networks.items()
         return (own, *(_file(card, name, None, network.checkpoint.file) for name, network in fed))
-    found: list[CardFile] = []
+    files: list[CardFile] = []
     if bundle.checkpoint is not None and card.checkpoint is not None:
         own = Weights(bundle.checkpoint, bundle.checkpoint_sha256)
-        found.append(_file(card, "", own, str(chosen or card.checkpoint.file)))
+        files.append(_file(card, "", own, str(chosen or card.checkpoint.file)))
     for name, weights in bundle.networks.items():
-        found.append(_file(card, name, weights, card.networks[name].checkpoint.file))
-    return tuple(found)
+        files.append(_file(card, name, weights, card.networks[name].checkpoint.file))
+    return tuple(files)
 
 
 def _file(

@@ -586,6 +586,6 @@ def carry_over(before: Episode, after: Episode) -> bool:
 
 
 def _restore(before: Episode, after: Episode, parts: Mapping[str, bytes]) -> None:
-    found = [StatePart(name=name, data=data) for name, data in parts.items()]
+    states = [StatePart(name=name, data=data) for name, data in parts.items()]
     world, policy = after.world.state(), before.saved().policy
-    after.restore(SimState(step=before.step, world=world, policy=policy, parts=found))
+    after.restore(SimState(step=before.step, world=world, policy=policy, parts=states))

@@ -109,19 +109,19 @@ class StageClock:
     control step has five of them, and the clock's own time is counted for none: it is short.
 
     Args:
-        now: seconds that pass, of the wall if nothing is said; `time.thread_time` is the processor.
+        clock: returns seconds; `time.thread_time` counts those of the processor alone.
     """
 
-    def __init__(self, now: Callable[[], float] = perf_counter) -> None:
+    def __init__(self, clock: Callable[[], float] = perf_counter) -> None:
         stages: tuple[Stage, ...] = get_args(Stage)
-        self._now = now
+        self._clock = clock
         self._spent: dict[Stage, float] = dict.fromkeys(stages, 0.0)
         self._running: list[Stage] = []
         self._began = 0.0
 
     def __call__(self, stage: Stage) -> Self:
         """Credit the time from now to the end of the `with` block to a stage; only for `with`."""
-        now, running = self._now(), self._running
+        now, running = self._clock(), self._running
         if running:
             self._spent[running[-1]] += now - self._began
         running.append(stage)
@@ -132,7 +132,7 @@ class StageClock:
         pass
 
     def __exit__(self, *_: object) -> None:
-        now = self._now()
+        now = self._clock()
         self._spent[self._running.pop()] += now - self._began
         self._began = now
 

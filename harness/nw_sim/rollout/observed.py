@@ -156,14 +156,14 @@ class Seen:
     def elements(self) -> dict[str, str]:
         """Return what the numbers of a log are called, by topic, or topic and field."""
         robot = self._world.robot
-        found = action_names(self._card, robot)
+        by_topic = action_names(self._card, robot)
         for name, spec in self._card.observations.items():
             if name in self._views:
                 continue
-            names = element_names(spec, found["/nw/policy.action"])
+            names = element_names(spec, by_topic["/nw/policy.action"])
             if len(names) == prod(self._sensors[name].shape):
-                found[f"/observation/{self._names[name]}"] = names
-        return {topic: ",".join(names) for topic, names in found.items()}
+                by_topic[f"/observation/{self._names[name]}"] = names
+        return {topic: ",".join(names) for topic, names in by_topic.items()}
 
     def shutters(self) -> dict[str, str]:
         """Return how long those cameras of the views take that take time, by name, as JSON."""
@@ -359,14 +359,14 @@ def views_of(card: Card) -> tuple[View, ...]:
     The first photograph from a camera is `/camera/<camera>`, every other image
     `/camera/<camera>/<observation>`.
     """
-    found: list[View] = []
+    views: list[View] = []
     names = topic_names(card)
     for name, spec in card.observations.items():
         if not isinstance(spec, CameraObservation):
             continue
         topic = f"/camera/{spec.camera}"
-        is_first = isinstance(spec, SplatRgbObservation) and topic not in {v.topic for v in found}
-        found.append(
+        is_first = isinstance(spec, SplatRgbObservation) and topic not in {v.topic for v in views}
+        views.append(
             View(
                 observation=name,
                 topic=topic if is_first else f"{topic}/{names[name]}",
@@ -374,7 +374,7 @@ def views_of(card: Card) -> tuple[View, ...]:
                 spec=spec,
             )
         )
-    return tuple(found)
+    return tuple(views)
 
 
 def _is_bytes(image: Image) -> bool:
@@ -424,10 +424,10 @@ def term_sizes(
 ) -> tuple[tuple[str, int], ...]:
     """Return name and size of the parts of a row: the card's terms, where they are all of it."""
     if isinstance(spec, ProprioObservation):
-        found = tuple((term.term, term_size(term, joints)) for term in spec.frame_terms)
+        sizes = tuple((term.term, term_size(term, joints)) for term in spec.frame_terms)
         is_whole = spec.select is None and spec.history is None and not spec.wrap
-        if is_whole and sum(count for _, count in found) == size:
-            return found
+        if is_whole and sum(count for _, count in sizes) == size:
+            return sizes
     return ((name, size),)
 
 

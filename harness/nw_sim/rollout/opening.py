@@ -169,12 +169,12 @@ def _check_same(job: TrialJob, scene: Scene, bundle: Bundle) -> None:
         )
 
 
-def _check_served(job: TrialJob, found: str) -> None:
+def _check_served(job: TrialJob, served: str) -> None:
     """Refuse a server that serves something else now; that is no fault of the policy."""
     planned = job.checkpoint_digest
-    if planned and found != planned:
+    if planned and served != planned:
         raise UsageError(
-            f"the server of {job.policy!r} serves {found[:12]}, the trial was planned with "
+            f"the server of {job.policy!r} serves {served[:12]}, the trial was planned with "
             f"{planned[:12]}",
             fix="serve what it was planned with, or start a new run",
         )

@@ -49,14 +49,14 @@ def provenance(*, is_planned: bool) -> Mapping[str, str]:
     Args:
         is_planned: whether nw-eval runs the policy's networks: then no other runtime counts.
     """
-    found = {"nw-eval": __version__, "architecture": platform.machine(), "rays": RAYS}
+    facts = {"nw-eval": __version__, "architecture": platform.machine(), "rays": RAYS}
     for name in _LIBRARIES:
         with suppress(PackageNotFoundError):
-            found[name] = version(name)
+            facts[name] = version(name)
     if is_planned:
-        found = {name: value for name, value in found.items() if name not in _RUNTIMES}
-        found["networks"] = NETWORKS
-    return MappingProxyType(found)
+        facts = {name: value for name, value in facts.items() if name not in _RUNTIMES}
+        facts["networks"] = NETWORKS
+    return MappingProxyType(facts)
 
 
 def trial_metadata(job: TrialJob) -> dict[str, str]:

@@ -126,17 +126,17 @@ class ScoreMeter:
         if self._count:
             return {}
         end = TrialEnd(outcome=None, seconds=self._world.time, success=self._task.success)
-        found = {
+        values = {
             name: score.value(end)
             for name, score in self._scores.items()
             if isinstance(score, Keeps) or type(score) is BUILT_IN.get(name)
         }
-        return dict(_defined(found))
+        return dict(_defined(values))
 
     def moments(self) -> dict[str, float]:
         """Return when in the trial limits were first passed, s, by score; after `values`."""
-        found = {name: score.moment() for name, score in self._scores.items()}
-        return {name: moment for name, moment in found.items() if moment is not None}
+        by_score = {name: score.moment() for name, score in self._scores.items()}
+        return {name: moment for name, moment in by_score.items() if moment is not None}
 
     def state(self) -> bytes:
         """Return what is not shown yet, and what the scores remember."""

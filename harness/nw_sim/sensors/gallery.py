@@ -146,13 +146,13 @@ def draw_card(
         name: shutter_words(mount.readout, mount.exposure)
         for name, mount in mounted_robot(get_robot(card.robot), card).cameras.items()
     }
-    found: list[SeenObservation] = []
+    observations: list[SeenObservation] = []
     cells: list[Cell] = []
     for name, sample in seen.items():
         kind = card.observations[name]
         form = f"{' x '.join(map(str, sample.shape))} {sample.dtype}"
         finite = sample[np.isfinite(sample)]
-        found.append(
+        observations.append(
             SeenObservation(
                 name=name,
                 sensor=kind.sensor,
@@ -172,7 +172,7 @@ def draw_card(
             cells.append(Cell(name=name, caption=caption, images=[large]))
     if cells:
         _write(cells, path, f"{scene.name}: what {card.name} sees")
-    return SeenCard(observations=tuple(found), picture=path if cells else None)
+    return SeenCard(observations=tuple(observations), picture=path if cells else None)
 
 
 def _write(cells: Sequence[Cell], path: Path, title: str) -> None:

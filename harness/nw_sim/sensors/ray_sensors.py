@@ -263,7 +263,7 @@ class Depth(Measurement):
 
     def measure(self, moment: StepContext) -> NDArray[Any]:
         """Cast the rays."""
-        found = np.empty(self.shape, dtype=np.float32)
+        image = np.empty(self.shape, dtype=np.float32)
         for band in self._view.bands(moment):
             place = None
             if self._splat is not None:
@@ -275,8 +275,8 @@ class Depth(Measurement):
             depth = distance * band.along_axis
             if self._baseline:
                 depth[self._in_shadow(moment, band, distance)] = np.nan
-            found[slice(*band.rows)] = depth.reshape(-1, self.shape[1])
-        return found
+            image[slice(*band.rows)] = depth.reshape(-1, self.shape[1])
+        return image
 
     def _in_shadow(self, moment: StepContext, band: RayBand, distance: Array) -> NDArray[np.intp]:
         """Return the rays whose points something hides from the right imager."""
@@ -380,12 +380,12 @@ class Semantics(Measurement):
 
     def measure(self, moment: StepContext) -> NDArray[Any]:
         """Cast the rays."""
-        found = np.empty(self.shape, dtype=np.uint8)
+        image = np.empty(self.shape, dtype=np.uint8)
         for band in self._view.bands(moment):
             _, met = self._around.classes(moment, band.origin, band.directions, band.robot)
-            part = found[slice(*band.rows)]
+            part = image[slice(*band.rows)]
             part[...] = (PALETTE[met] if self._in_colour else met).reshape(part.shape)
-        return found
+        return image
 
 
 class Lidar(Measurement):
@@ -445,8 +445,8 @@ class LidarForm(Plain):
     def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
         """Return (channels, columns, 3) or (channels, columns) float32."""
         nearest, farthest = self._range
-        found = (sample >= nearest) & (sample <= farthest)
-        ranges = np.where(found, sample, np.float32(self._miss))
+        in_range = (sample >= nearest) & (sample <= farthest)
+        ranges = np.where(in_range, sample, np.float32(self._miss))
         return self._pattern * ranges[..., np.newaxis] if self._in_points else ranges
 
 

@@ -98,12 +98,12 @@ class Shutter:
         bands: list[Band] = []
         for first, end in pairwise(edges):
             time = float(self._until_read[first:end].mean()) - share * self._exposure
-            then = moved(pose, velocity, time)
+            camera = moved(pose, velocity, time)
             bands.append(
                 Band(
                     rows=(first, end),
-                    T_world_camera=then,
-                    robot=_Carrier(world, pose @ same_bits.inverse(then)),
+                    T_world_camera=camera,
+                    robot=_Carrier(world, pose @ same_bits.inverse(camera)),
                 )
             )
         return bands
@@ -131,10 +131,10 @@ def moved(pose: Array, velocity: tuple[Array, Array], time: float) -> Array:
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     # Rodrigues' formula.
     R = np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
-    then = np.eye(4)
-    then[:3, :3] = R @ pose[:3, :3]
-    then[:3, 3] = pose[:3, 3] + linear * time
-    return then
+    pose_then = np.eye(4)
+    pose_then[:3, :3] = R @ pose[:3, :3]
+    pose_then[:3, 3] = pose[:3, 3] + linear * time
+    return pose_then
 
 
 class _Carrier:
@@ -155,8 +155,8 @@ class _Carrier:
         *,
         exclude: Literal["nothing", "trunk"] = "nothing",
     ) -> RobotRays:
-        now = origins @ self._R.T + self._shift
-        return self._world.ray_robot(now, directions @ self._R.T, exclude=exclude)
+        moved_origins = origins @ self._R.T + self._shift
+        return self._world.ray_robot(moved_origins, directions @ self._R.T, exclude=exclude)
 
 
 def row_poses(bands: Sequence[Band]) -> Array:

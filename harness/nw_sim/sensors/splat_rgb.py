@@ -137,10 +137,10 @@ class SplatRgb(Measurement):
 
     def _overlays(self, moment: StepContext, band: Band) -> list[Overlay]:
         """Return what is drawn into rows of the picture: cones and robot, then props."""
-        card, found = self._observation, list[Overlay]()
+        card, overlays = self._observation, list[Overlay]()
         directions, T_world_camera = self._directions[slice(*band.rows)], band.T_world_camera
         if not self._published and (card.cones or card.robot):
-            found.append(
+            overlays.append(
                 overlay.draw(
                     directions,
                     T_world_camera,
@@ -151,7 +151,7 @@ class SplatRgb(Measurement):
                 )
             )
         if self._props.props:
-            found += self._props.overlays(
+            overlays += self._props.overlays(
                 moment.world.prop_poses(),
                 self._view.camera,
                 directions=directions,
@@ -161,7 +161,7 @@ class SplatRgb(Measurement):
                 rows=self._view.part(band),
                 pitch=self._pitch,
             )
-        return found
+        return overlays
 
     def state(self) -> Arrays:
         """Return the last coverage and nearness."""

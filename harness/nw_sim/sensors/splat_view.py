@@ -146,10 +146,10 @@ class SplatScan:
             origin: (3,) of all rays, world, m.
             R_world_sensor: (3, 3).
         """
-        found = np.full(self._count, np.inf)
+        distances = np.full(self._count, np.inf)
         for sector in self._sectors:
-            found[sector.rays] = sector.distance(origin, R_world_sensor)
-        return found
+            distances[sector.rays] = sector.distance(origin, R_world_sensor)
+        return distances
 
 
 class _Sector:

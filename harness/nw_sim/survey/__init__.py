@@ -116,14 +116,14 @@ def survey_lines(survey: Survey) -> tuple[str, ...]:
 
 def footing_lines(survey: Survey) -> tuple[str, ...]:
     """Return how rough the ground is along the course, and how stepped and steep."""
-    found, length = survey.ground.footing, survey.length
-    known = np.isfinite(found.roughness)
+    footing, length = survey.ground.footing, survey.length
+    known = np.isfinite(footing.roughness)
     if not known.any():
         return (f"roughness: no ground is known along {length:.1f} m of course",)
-    usual, most = 1e3 * np.quantile(found.roughness[known], (0.5, 0.9))
+    usual, most = 1e3 * np.quantile(footing.roughness[known], (0.5, 0.9))
     bears = 1e3 * MOST_ROUGH * survey.legs.legs.length
-    step = np.where(np.isfinite(found.step), found.step, 0.0)
-    highest, slopes = int(np.argmax(step)), np.degrees(found.slope[np.isfinite(found.slope)])
+    step = np.where(np.isfinite(footing.step), footing.step, 0.0)
+    highest, slopes = int(np.argmax(step)), np.degrees(footing.slope[np.isfinite(footing.slope)])
     steepest = f"{np.median(slopes):.0f} degrees (median), {slopes.max():.0f} at most"
     roughness = (
         f"roughness: the ground is {usual:.0f} mm off the plane of {PATCH:g} m (median), "
@@ -131,8 +131,8 @@ def footing_lines(survey: Survey) -> tuple[str, ...]:
         f"{bears:.0f} mm"
     )
     steps = (
-        f"steps: {step[highest]:.2f} m over {FOOT:g} m at most, {found.along[highest]:.1f} m along "
-        f"the course; slopes are {steepest if len(slopes) else 'not known'}"
+        f"steps: {step[highest]:.2f} m over {FOOT:g} m at most, {footing.along[highest]:.1f} m "
+        f"along the course; slopes are {steepest if len(slopes) else 'not known'}"
     )
     return roughness, steps
 

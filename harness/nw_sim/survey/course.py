@@ -224,10 +224,10 @@ def _ground_at(samples: CourseSamples, rays: RayScene, x: float, half_width: flo
         + offsets[:, 1:] * samples.left[:, None]
     )
     above = np.repeat(samples.above, len(offsets))
-    found = rays.height(places.reshape(-1, 2), z_from=above).reshape(places.shape[:2])
+    heights = rays.height(places.reshape(-1, 2), z_from=above).reshape(places.shape[:2])
     trail = samples.points[:, 2:]
-    carries = np.abs(found - trail) < _FARTHEST
-    highest = np.where(carries, found, -np.inf).max(axis=1)
+    carries = np.abs(heights - trail) < _FARTHEST
+    highest = np.where(carries, heights, -np.inf).max(axis=1)
     return np.where(np.isfinite(highest), highest, trail[:, 0])
 
 
@@ -275,11 +275,11 @@ def course_findings(scene: Scene, robot: str) -> list[SceneFinding]:
     """
     length = stance_of(get_robot(robot)).length
     start = start_finding(scene)
-    found = [] if start is None else [start]
+    findings = [] if start is None else [start]
     path = np.vstack([[scene.spawn.position], scene.trail])[:, :2]
     legs = np.linalg.norm(np.diff(path, axis=0), axis=1)
     if legs.sum() < length:
-        found.append(
+        findings.append(
             SceneFinding(
                 code="trail_short",
                 severity="error",
@@ -294,7 +294,7 @@ def course_findings(scene: Scene, robot: str) -> list[SceneFinding]:
     if together:
         first = together[0]
         x, y, z = scene.trail[first].tolist()
-        found.append(
+        findings.append(
             SceneFinding(
                 code="waypoints_together",
                 severity="warning",
@@ -307,7 +307,7 @@ def course_findings(scene: Scene, robot: str) -> list[SceneFinding]:
             )
         )
     end = _end(scene, path, robot, length)
-    return found if end is None else [*found, end]
+    return findings if end is None else [*findings, end]
 
 
 def _end(scene: Scene, path: Values, robot: str, length: float) -> SceneFinding | None:

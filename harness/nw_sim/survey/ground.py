@@ -234,9 +234,9 @@ def _planes(patches: Values) -> tuple[Values, Values]:
         normal = (weight @ outer).reshape(-1, 3, 3) + 1e-9 * np.eye(3)
         plane = np.linalg.solve(normal, ((weight * heights) @ design)[..., None])[..., 0]
         off = weight * (heights - plane @ design.T)
-        found = np.sqrt((off**2).sum(axis=1) / np.maximum(count, 1.0))
-        better = enough & (found < rough) & (edged if number else ~edged)
-        rough = np.where(better, found, rough)
+        roughness = np.sqrt((off**2).sum(axis=1) / np.maximum(count, 1.0))
+        better = enough & (roughness < rough) & (edged if number else ~edged)
+        rough = np.where(better, roughness, rough)
         slope = np.where(better, np.arctan(np.hypot(plane[:, 1], plane[:, 2])), slope)
     rough, slope = (np.where(np.isfinite(part), part, np.nan) for part in (rough, slope))
     return rough.reshape(patches.shape[:2]), slope.reshape(patches.shape[:2])
@@ -254,7 +254,7 @@ def footing_findings(footing: Footing, robot: str, leg: float) -> list[SceneFind
         (footing.roughness, MOST_ROUGH * leg, "{:.3f} m off the plane of {} m"),
         (footing.slope, MOST_STEEP, "{:.2f} rad steep over {} m"),
     )
-    found: list[SceneFinding] = []
+    findings: list[SceneFinding] = []
     for values, limit, words in bounds:
         beyond = np.concatenate([[False], values > limit, [False]])
         starts, ends = np.flatnonzero(np.diff(beyond.astype(np.int8))).reshape(-1, 2).T
@@ -264,7 +264,7 @@ def footing_findings(footing: Footing, robot: str, leg: float) -> list[SceneFind
         first, last = int(starts[longest]), int(ends[longest]) - 1
         value = float(np.median(values[first : last + 1]))
         x, y, z = footing.places[(first + last) // 2].tolist()
-        found.append(
+        findings.append(
             SceneFinding(
                 code="ground_rough",
                 severity="warning",
@@ -278,7 +278,7 @@ def footing_findings(footing: Footing, robot: str, leg: float) -> list[SceneFind
                 place=(x, y, z),
             )
         )
-    return found
+    return findings
 
 
 @dataclass(frozen=True, kw_only=True)

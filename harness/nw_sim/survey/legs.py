@@ -100,29 +100,29 @@ def _edges(profile: Values) -> list[tuple[int, int, float]]:
     """Return first and last sample and rise, m, of every steep stretch that goes one way."""
     rises = np.diff(profile)
     steep = np.abs(rises) > _STEEP * _SPACING
-    found: list[tuple[int, int, float]] = []
+    edges: list[tuple[int, int, float]] = []
     for index in np.flatnonzero(steep).tolist():
         rise = float(rises[index])
-        if found and found[-1][1] == index and found[-1][2] * rise > 0.0:
-            first, _, before = found.pop()
-            found.append((first, index + 1, before + rise))
+        if edges and edges[-1][1] == index and edges[-1][2] * rise > 0.0:
+            first, _, before = edges.pop()
+            edges.append((first, index + 1, before + rise))
         else:
-            found.append((index, index + 1, rise))
-    return found
+            edges.append((index, index + 1, rise))
+    return edges
 
 
 def _gaps(
     edges: list[tuple[int, int, float]], along: Values, profile: Values
 ) -> list[tuple[int, int, float, float]]:
     """Return both edges, length and depth, m, of every gap: down, and up again."""
-    found: list[tuple[int, int, float, float]] = []
+    gaps: list[tuple[int, int, float, float]] = []
     high = [edge for edge in edges if abs(edge[2]) > _EDGE]
     for (first, bottom, drop), (start, top, rise) in pairwise(high):
         length = float(along[top] - along[first])
         if drop < 0.0 < rise and length <= _WIDEST_GAP:
             lower = min(profile[first], profile[top])
-            found.append((first, start, length, float(lower - profile[bottom : start + 1].min())))
-    return found
+            gaps.append((first, start, length, float(lower - profile[bottom : start + 1].min())))
+    return gaps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,16 +163,16 @@ class Fit:
     def beyond(self) -> tuple[str, ...]:
         """What the scene asks that the robot cannot do, in words; empty if nothing."""
         asked, leg = self.demands, self.legs.length
-        found = [
+        steps = [
             f"a step of {size:.2f} m {way}"
             for way, size in (("up", asked.up), ("down", asked.down))
             if size > LONGEST_STEP * leg
         ]
         if asked.gap > LONGEST_GAP * leg and asked.depth > LONGEST_STEP * leg:
-            found.append(f"a gap of {asked.gap:.2f} m")
+            steps.append(f"a gap of {asked.gap:.2f} m")
         if asked.room < self.legs.width:
-            found.append(f"{asked.room:.2f} m between walls for a width of {self.legs.width:.2f} m")
-        return tuple(found)
+            steps.append(f"{asked.room:.2f} m between walls for a width of {self.legs.width:.2f} m")
+        return tuple(steps)
 
     @property
     def asks_for(self) -> str:

@@ -225,20 +225,20 @@ def disagreement(pixels: Residuals) -> Disagreement:
             sides = [side & course for side in sides]
         elif min(int(side.sum()) for side in sides) < _ENOUGH_OF_DIRECTION:
             sides = [side if _agree(off[side]) else side & built for side in sides]
-        found = [
+        errors = [
             (sign, off[side])
             for sign, side in zip((1.0, -1.0), sides, strict=True)
             if side.sum() >= _ENOUGH_OF_DIRECTION
         ]
-        if not found:
+        if not errors:
             continue
-        if len(found) == 1 or upright:
-            sign, alone = max(found, key=lambda each: len(each[1]))
+        if len(errors) == 1 or upright:
+            sign, alone = max(errors, key=lambda each: len(each[1]))
             middle, width = _most(alone)
             moved = sign * middle
             as_one &= width < _AGREED
         else:
-            moved = sum(sign * float(np.median(side)) for sign, side in found) / 2
+            moved = sum(sign * float(np.median(side)) for sign, side in errors) / 2
         shift += moved * axis
     if abs(shift[2]) > _HEIGHTS_FIRST:
         shift[:2] = 0.0
@@ -332,14 +332,14 @@ def view_findings(seen: SurveyedViews) -> list[SceneFinding]:
 
 
 def _coverage(views: tuple[SurveyedView, ...]) -> list[SceneFinding]:
-    found: list[SceneFinding] = []
+    findings: list[SceneFinding] = []
     near = [(view.covered, view) for view in views if view.covered is not None]
     if near:
         share, view = min(near, key=lambda each: each[0])
         below = sum(covered < LEAST_COVERED for covered, _ in near)
         if below:
             severity: Severity = "error" if share < TOO_LITTLE else "warning"
-            found.append(
+            findings.append(
                 SceneFinding(
                     code="splat_thin",
                     severity=severity,
@@ -353,8 +353,8 @@ def _coverage(views: tuple[SurveyedView, ...]) -> list[SceneFinding]:
                 )
             )
     emptiest = min(views, key=lambda view: view.alpha)
-    if emptiest.alpha < LEAST_COVERED and not found:
-        found.append(
+    if emptiest.alpha < LEAST_COVERED and not findings:
+        findings.append(
             SceneFinding(
                 code="open_view",
                 severity="note",
@@ -366,7 +366,7 @@ def _coverage(views: tuple[SurveyedView, ...]) -> list[SceneFinding]:
                 place=emptiest.position,
             )
         )
-    return found
+    return findings
 
 
 def _depth(seen: SurveyedViews) -> list[SceneFinding]:

@@ -87,8 +87,8 @@ class PluginTask(TaskSettings):
 
 
 def _branch(value: Any) -> str:
-    found = cast("dict[str, Any]", value) if isinstance(value, dict) else {}
-    kind = found.get("kind") if found else getattr(value, "kind", None)
+    fields = cast("dict[str, Any]", value) if isinstance(value, dict) else {}
+    kind = fields.get("kind") if fields else getattr(value, "kind", None)
     return kind if isinstance(kind, str) and kind in BUILT_IN else _PLUGIN
 
 

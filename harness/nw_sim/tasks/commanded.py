@@ -161,15 +161,15 @@ class Command(TaskPart):
             period: seconds of one.
         """
         times = np.arange(steps) * period
-        found = np.zeros((steps, 3))
+        velocities = np.zeros((steps, 3))
         if self.constant is not None:
-            found[:] = self.constant.velocity
+            velocities[:] = self.constant.velocity
         for step in self.steps or ():
-            found[times >= step.at - _TINY] = step.velocity
+            velocities[times >= step.at - _TINY] = step.velocity
         if (sweep := self.sweep) is not None:
             ends = np.array([sweep.vx, sweep.vy, sweep.yaw])
             share = np.minimum(times / sweep.over, 1.0)[:, np.newaxis]
-            found[:] = ends[:, 0] + share * (ends[:, 1] - ends[:, 0])
+            velocities[:] = ends[:, 0] + share * (ends[:, 1] - ends[:, 0])
         if (draw := self.draw) is not None:
             low, high = np.array([draw.vx, draw.vy, draw.yaw]).T
             numbers = np.floor((times + _TINY) / draw.every).astype(np.int64)
@@ -177,8 +177,8 @@ class Command(TaskPart):
             drawn = streams.generator("command").random((int(numbers[-1]) + 1, 4))
             values = low + drawn[:, :3] * (high - low)
             values[drawn[:, 3] < draw.still] = 0.0
-            found[:] = values[numbers]
-        return found
+            velocities[:] = values[numbers]
+        return velocities
 
     @property
     def parts(self) -> frozenset[str]:

@@ -101,11 +101,11 @@ def _of_folder(folder: Path) -> Gaussians:
         SceneError: it is none; of a training's folder, with the file to give.
     """
     plys = folder.glob("point_cloud/iteration_*/point_cloud.ply"), folder.glob("ply/*.ply")
-    found = [one for each in (*plys, folder.glob("ckpts/*.pt")) for one in each]
-    if found and not (folder / TRANSFORMS).is_file():
-        newest = max(found, key=lambda one: [int(n) for n in re.findall(r"\d+", str(one))])
+    splats = [one for each in (*plys, folder.glob("ckpts/*.pt")) for one in each]
+    if splats and not (folder / TRANSFORMS).is_file():
+        newest = max(splats, key=lambda one: [int(n) for n in re.findall(r"\d+", str(one))])
         raise SceneError(
-            f"{folder}: the folder of a 3DGS training, with {plural(len(found), 'splat')} in it",
+            f"{folder}: the folder of a 3DGS training, with {plural(len(splats), 'splat')} in it",
             fix=f"give the splat of one iteration, such as {newest}",
         )
     if (folder / "nerfstudio_models").is_dir():
@@ -167,7 +167,7 @@ def _read_by_package(name: str, path: Path, mark: bytes) -> Gaussians:
     who = subject(installed(SPLAT_FORMATS)[name][0])
     try:
         is_one = form.sniff is None or form.sniff(path, mark[:_MARK])
-        found = cast("object", form.read(path)) if is_one else None
+        gaussians = cast("object", form.read(path)) if is_one else None
     except (NwEvalError, OSError):
         raise
     except Exception as error:
@@ -180,9 +180,9 @@ def _read_by_package(name: str, path: Path, mark: bytes) -> Gaussians:
             f"{path}: starts with {mark[:4]!r}, which {who} does not read",
             fix=f"give a file of the format {name}: {form.description}",
         )
-    if not isinstance(found, Gaussians):
-        raise PluginError(f"{who} read a {type(found).__name__}, no Gaussians, from {path}")
-    return found
+    if not isinstance(gaussians, Gaussians):
+        raise PluginError(f"{who} read a {type(gaussians).__name__}, no Gaussians, from {path}")
+    return gaussians
 
 
 def files_of_splat(path: Path) -> tuple[Path, ...]:

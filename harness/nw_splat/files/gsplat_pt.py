@@ -45,12 +45,12 @@ def rank_files(path: Path) -> tuple[Path, ...]:
     mine = _RANK.fullmatch(path.name)
     if mine is None:
         return (path,)
-    found: dict[int, str] = {}
+    by_rank: dict[int, str] = {}
     for one in sorted(path.parent.glob(f"{mine['step']}_rank*.pt")):
         other = _RANK.fullmatch(one.name)
         if other is not None:
-            found[int(other["rank"])] = one.name
-    lost = sorted(set(range(max(found, default=0))) - set(found))
+            by_rank[int(other["rank"])] = one.name
+    lost = sorted(set(range(max(by_rank, default=0))) - set(by_rank))
     if lost:
         names = ", ".join(f"{mine['step']}_rank{rank}.pt" for rank in lost[:5])
         raise SceneError(
@@ -58,10 +58,10 @@ def rank_files(path: Path) -> tuple[Path, ...]:
             f"{'is' if len(lost) == 1 else 'are'} missing",
             fix="put the files of all ranks side by side",
         )
-    if len(found) < 2:
+    if len(by_rank) < 2:
         return (path,)
     try:
-        return tuple(inside(path.parent, found[rank]) for rank in sorted(found))
+        return tuple(inside(path.parent, by_rank[rank]) for rank in sorted(by_rank))
     except OutsideError as error:
         raise SceneError(f"{path}: {error}", fix="put the files of all ranks there") from None
 

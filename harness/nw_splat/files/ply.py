@@ -163,10 +163,10 @@ def _unread(ply: Ply) -> tuple[str, ...]:
 def marks_of(ply: Ply) -> _Marks:
     """Return what comments say of the training of the Gaussians."""
     said = [re.split(r"[\s:=]+", comment.strip(), maxsplit=1) for comment in ply.comments]
-    found = {words[0]: words[1].lower() for words in reversed(said) if len(words) == 2}
+    tags = {words[0]: words[1].lower() for words in reversed(said) if len(words) == 2}
     return {
-        "rasterize_mode": _MODES.get(found.get("SplatRenderMode", "")),
-        "projection": _PROJECTIONS.get(found.get("SplatProjection", "")),
+        "rasterize_mode": _MODES.get(tags.get("SplatRenderMode", "")),
+        "projection": _PROJECTIONS.get(tags.get("SplatProjection", "")),
     }
 
 

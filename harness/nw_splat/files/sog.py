@@ -83,12 +83,12 @@ def read_sog(path: Path) -> Gaussians:
 def _folder(path: Path) -> Callable[[str], bytes]:
     def load(name: str) -> bytes:
         try:
-            found = inside(path.parent, name)
+            file = inside(path.parent, name)
         except OutsideError as error:
             raise SceneError(f"{path}: {error}", fix="put all files beside it") from None
-        if found.stat().st_size > _BYTES:
-            raise SceneError(f"{found}: more than {_BYTES} bytes", fix="prune the splat")
-        return found.read_bytes()
+        if file.stat().st_size > _BYTES:
+            raise SceneError(f"{file}: more than {_BYTES} bytes", fix="prune the splat")
+        return file.read_bytes()
 
     return load
 

@@ -100,9 +100,9 @@ def sort_keys(keys: Any, scratch: Any, count: Any, span: Any, histogram: Any) ->
         base = digit << DIGIT
         total = 0
         for j in range(base, base + mask + 1):
-            here = peek(histogram, j)
+            size = peek(histogram, j)
             poke(histogram, j, total)
-            total += here
+            total += size
         shift = 32 + digit * width
         for i in range(count):
             key = peek(source, i)
@@ -361,11 +361,11 @@ def draw(
     visible = visible_chunks(bounds, view, _widest_of(eps2d, blur), chunk_keys, nearest)
     least = _order_chunks(nearest, visible, chunk_keys, scratch, histogram) if visible else 0
     statistics[VISIBLE_CHUNKS] = visible
-    now = clock_nanoseconds(clock) if clock >= 0 else 0
-    statistics[CULL] += now - started
+    time = clock_nanoseconds(clock) if clock >= 0 else 0
+    statistics[CULL] += time - started
     left, taken, count = width * height, 0, 0
     while left > 0 and (taken < visible or count > 0):
-        started = now
+        started = time
         end = min(taken + slab, visible)
         for i in range(taken, end):
             chunk = chunk_keys[i] & 0xFFFFFFFF
@@ -396,9 +396,9 @@ def draw(
             note_depths(records, before, count, depths)
             statistics[RECORDS] += count - before
         taken = end
-        now = clock_nanoseconds(clock) if clock >= 0 else 0
-        statistics[PROJECT] += now - started
-        started = now
+        time = clock_nanoseconds(clock) if clock >= 0 else 0
+        statistics[PROJECT] += time - started
+        started = time
         boundary = np.float32(np.inf)
         if taken < visible:
             boundary = nearest_of(chunk_keys[taken], least)
@@ -406,9 +406,9 @@ def draw(
             depths, count, boundary, keys, scratch, carried, histogram
         )
         ordered = scratch if in_scratch else keys
-        now = clock_nanoseconds(clock) if clock >= 0 else 0
-        statistics[SORT] += now - started
-        started = now
+        time = clock_nanoseconds(clock) if clock >= 0 else 0
+        statistics[SORT] += time - started
+        started = time
         left, vectors, drawn = blend(
             records,
             ordered,
@@ -430,9 +430,9 @@ def draw(
         statistics[DRAWN] += drawn
         _keep_carried(records, depths, carried, later)
         count = later
-        now = clock_nanoseconds(clock) if clock >= 0 else 0
-        statistics[BLEND] += now - started
-    started = now
+        time = clock_nanoseconds(clock) if clock >= 0 else 0
+        statistics[BLEND] += time - started
+    started = time
     _resolve(light, paint, stride, width, height, background, out, x0, y0)
-    now = clock_nanoseconds(clock) if clock >= 0 else 0
-    statistics[BLEND] += now - started
+    time = clock_nanoseconds(clock) if clock >= 0 else 0
+    statistics[BLEND] += time - started

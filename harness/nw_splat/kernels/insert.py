@@ -203,7 +203,7 @@ def light_at(cells: Any, size: Any, row: Any, column: Any, numbers: Any, light: 
 
 
 @kernel
-def near_any(rays: Any, middles: Any, origin: Any, radius: Any, found: Any) -> Any:
+def near_any(rays: Any, middles: Any, origin: Any, radius: Any, numbers: Any) -> Any:
     """Note the rays from one point that come as near to one of some middles; return how many.
 
     Args:
@@ -211,7 +211,7 @@ def near_any(rays: Any, middles: Any, origin: Any, radius: Any, found: Any) -> A
         middles: (K, 3) float64.
         origin: (3,) float64; within the radius of a middle, every ray is near.
         radius: what is near.
-        found: (N,) int64, out: numbers of rays.
+        numbers: (N,) int64, out: numbers of rays.
     """
     near = np.zeros(len(rays), np.bool_)
     for k in range(len(middles)):
@@ -227,28 +227,28 @@ def near_any(rays: Any, middles: Any, origin: Any, radius: Any, found: Any) -> A
             near[n] |= rays[n, 0] * x + rays[n, 1] * y + rays[n, 2] * z > limit
     count = 0
     for n in range(len(rays)):
-        found[count] = n
+        numbers[count] = n
         count += near[n]
     return count
 
 
 @kernel
-def outline(inside: Any, found: Any) -> Any:
+def outline(inside: Any, numbers: Any) -> Any:
     """Note the pixels that lie beside one on the other side of an outline; return how many.
 
     Args:
         inside: (H, W) whether something is drawn there.
-        found: (H * W,) int64, out: numbers of pixels, row by row.
+        numbers: (H * W,) int64, out: numbers of pixels, row by row.
     """
     height, width = inside.shape
     count = 0
     for y in range(height):
         for x in range(width):
-            here = inside[y, x]
-            other = (y > 0 and inside[y - 1, x] != here) or (x > 0 and inside[y, x - 1] != here)
-            other |= y + 1 < height and inside[y + 1, x] != here
-            other |= x + 1 < width and inside[y, x + 1] != here
-            found[count] = y * width + x
+            drawn = inside[y, x]
+            other = (y > 0 and inside[y - 1, x] != drawn) or (x > 0 and inside[y, x - 1] != drawn)
+            other |= y + 1 < height and inside[y + 1, x] != drawn
+            other |= x + 1 < width and inside[y, x + 1] != drawn
+            numbers[count] = y * width + x
             count += other
     return count
 

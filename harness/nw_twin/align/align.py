@@ -189,9 +189,9 @@ def _by_tags(
 ) -> list[_ScaleBy]:
     if folder is None or options.tag_edge is None:
         return []
-    found = find_tags(capture, folder, say)
-    tags = place_tags(capture, found)
-    lost = sorted(found.keys() - {tag.number for tag in tags})
+    sightings = find_tags(capture, folder, say)
+    tags = place_tags(capture, sightings)
+    lost = sorted(sightings.keys() - {tag.number for tag in tags})
     if lost:
         warnings.append(f"no two shots agree on where these tags are: {_listed(lost)}")
     if not tags:
@@ -335,10 +335,10 @@ def _nothing(capture: Capture, folder: Path | None, options: AlignOptions) -> st
     if folder is None or options.tag_edge is not None:
         return text
     try:
-        found = find_tags(capture, folder, lambda _: None)
+        sightings = find_tags(capture, folder, lambda _: None)
     except PrerequisiteError:
         return text
-    seen = [number for number, where in found.items() if len(where) > 1]
+    seen = [number for number, where in sightings.items() if len(where) > 1]
     return f"{text}; tag {_listed(seen)} is in view, its edge is not known" if seen else text
 
 
@@ -377,20 +377,22 @@ def _point(
     for name in where:
         if name not in shots:
             raise UsageError(
-                f"a point was picked in {name!r}, which is no shot of the capture",
+                f"a triangulated was picked in {name!r}, which is no shot of the capture",
                 fix=nearest(name, shots),
             )
     chosen = [shots[name] for name in where]
     pixels = np.array([_in_picture(shots[name], pixel) for name, pixel in where.items()])
     if len(chosen) == 1:
         return _on_mesh(chosen[0], pixels[0], words_of(where), surface)
-    found = triangulate([one.camera for one in chosen], pixels[:, None], tolerance=_TOLERANCE)
-    if found is None:
+    triangulated = triangulate(
+        [one.camera for one in chosen], pixels[:, None], tolerance=_TOLERANCE
+    )
+    if triangulated is None:
         raise UsageError(
-            f"the picks {words_of(where) or 'in no shot'} do not meet in a point",
-            fix="pick the same point in two shots or more, taken well apart",
+            f"the picks {words_of(where) or 'in no shot'} do not meet in a triangulated",
+            fix="pick the same triangulated in two shots or more, taken well apart",
         )
-    return found.points[0]
+    return triangulated.points[0]
 
 
 def _in_picture(shot: PlacedShot, pixel: Pixel) -> Values:

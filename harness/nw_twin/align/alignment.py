@@ -84,11 +84,11 @@ class KnownLength:
 def _picked(text: str) -> dict[str, Pixel]:
     picked: dict[str, Pixel] = {}
     end = 0
-    for found in _POINT.finditer(text):
-        name, x, y = found.groups()
-        if found.start() != end or name in picked:
+    for match in _POINT.finditer(text):
+        name, x, y = match.groups()
+        if match.start() != end or name in picked:
             break
-        picked[name], end = (float(x) + 0.5, float(y) + 0.5), found.end()
+        picked[name], end = (float(x) + 0.5, float(y) + 0.5), match.end()
     if not picked or end != len(text) or text.endswith("+"):
         raise UsageError(
             f"{text!r} is not a point of a photograph",

@@ -84,12 +84,12 @@ def upright_edges(
         return None
     shots = [shots[i] for i in np.unique(np.linspace(0, len(shots) - 1, _SHOTS).astype(int))]
     try:
-        found = [_edges(shot, folder) for shot in shots]
+        edges = [_edges(shot, folder) for shot in shots]
     except ImportError:
         return None
-    normals = np.concatenate([normal for normal, _ in found])
-    lengths = np.concatenate([length for _, length in found])
-    owner = np.repeat(np.arange(len(found)), [len(length) for _, length in found])
+    normals = np.concatenate([normal for normal, _ in edges])
+    lengths = np.concatenate([length for _, length in edges])
+    owner = np.repeat(np.arange(len(edges)), [len(length) for _, length in edges])
     if len(normals) < _LEAST_EDGES:
         return None
     first, second = rng.integers(len(normals), size=(2, _DRAWS))
@@ -248,13 +248,13 @@ def find_gravity(
         planes += find_planes(sampled, tolerance, rng)
         cloud = np.concatenate([points, sampled])
     doubts = [doubt(one, cloud, centres, level.up, 3.0 * tolerance) for one in planes]
-    found = solve_up(level, planes, doubts, known)
-    edges = None if folder is None else upright_edges(capture, folder, found.up, rng)
+    solution = solve_up(level, planes, doubts, known)
+    edges = None if folder is None else upright_edges(capture, folder, solution.up, rng)
     if edges is not None:
         known = [*known, edges]
-        found = solve_up(level, planes, doubts, known)
-    up = found.up
-    steep = max(AGREES, min(1.5 * math.radians(found.uncertain), _STEEPEST))
+        solution = solve_up(level, planes, doubts, known)
+    up = solution.up
+    steep = max(AGREES, min(1.5 * math.radians(solution.uncertain), _STEEPEST))
     if edges is not None and edges.up @ up > _SAME_UP:
         steep = _SLOPE
     near = math.cos(steep)
@@ -287,9 +287,9 @@ def find_gravity(
         lower=lower,
         floor_share=floor.share,
         has_floor=plane is not None,
-        uncertain=found.uncertain,
+        uncertain=solution.uncertain,
         cues=(cues := _cues(up, level, walls, floor, by_mesh, known)),
-        warnings=_warnings(level, floor, found.uncertain, cues),
+        warnings=_warnings(level, floor, solution.uncertain, cues),
     )
 
 

@@ -178,8 +178,8 @@ def gps_positions(photographs: Mapping[str, Path]) -> dict[str, Vector]:
         photographs: files as the camera left them, by the names of their shots. Those without a
             position, or damaged, are left out, and so are those without a height among others.
     """
-    found = {name: _geodetic(path) for name, path in photographs.items()}
-    places = {name: place for name, place in found.items() if place is not None}
+    geodetic = {name: _geodetic(path) for name, path in photographs.items()}
+    places = {name: place for name, place in geodetic.items() if place is not None}
     if any(math.isfinite(height) for *_, height in places.values()):
         known = {name: place for name, place in places.items() if math.isfinite(place[2])}
     else:

@@ -195,7 +195,7 @@ def find_tags(
         SceneError: a picture cannot be read.
     """
     detect = detector()
-    found: dict[int, list[tuple[int, Values]]] = {}
+    by_tag: dict[int, list[tuple[int, Values]]] = {}
     for index, shot in enumerate(capture.shots):
         red, green, blue = np.moveaxis(read_picture(shot, folder).astype(np.float32), 2, 0)
         grey = np.ascontiguousarray(0.299 * red + 0.587 * green + 0.114 * blue).astype(np.uint8)
@@ -203,21 +203,21 @@ def find_tags(
         numbers = [number for number, _ in sightings]
         for number, corners in sightings:
             if numbers.count(number) == 1:  # Two of the same in one picture cannot be told apart.
-                found.setdefault(number, []).append((index, corners))
-    for number, seen in sorted(found.items()):
+                by_tag.setdefault(number, []).append((index, corners))
+    for number, seen in sorted(by_tag.items()):
         say(f"tag {number} is in {plural(len(seen), 'picture')}")
-    return dict(sorted(found.items()))
+    return dict(sorted(by_tag.items()))
 
 
-def place_tags(capture: Capture, found: dict[int, list[tuple[int, Values]]]) -> list[PlacedTag]:
+def place_tags(capture: Capture, sightings: dict[int, list[tuple[int, Values]]]) -> list[PlacedTag]:
     """Return the tags that two shots or more agree on, and that came out square.
 
     Args:
         capture: whose shots they are.
-        found: what `find_tags` found.
+        sightings: what `find_tags` returned.
     """
     placed: list[PlacedTag] = []
-    for number, seen in found.items():
+    for number, seen in sightings.items():
         cameras = [capture.shots[place].camera for place, _ in seen]
         answer = triangulate(cameras, np.array([c for _, c in seen]))
         if answer is None:

@@ -197,9 +197,9 @@ def _around(up: Values, aside: Values, radius: float, count: int) -> Values:
     cosine = 1.0 - (1.0 - math.cos(radius)) * place / count
     turn = math.pi * (1.0 + math.sqrt(5.0)) * place
     sine = np.sqrt(1.0 - np.square(cosine))
-    found = (
+    directions = (
         cosine[:, None] * up
         + (sine * np.cos(turn))[:, None] * first
         + (sine * np.sin(turn))[:, None] * second
     )
-    return np.asarray(found, dtype=np.float64)
+    return np.asarray(directions, dtype=np.float64)

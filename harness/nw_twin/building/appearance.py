@@ -191,8 +191,8 @@ def train_splat(
     )
     views = tuple(view_figures(trainer.gaussians, photo, rasteriser) for photo in held)
     removed = trainer.floaters
-    again = len(held) > 0 and not options.held_out and _are_few(photos, options)
-    if again:
+    is_repeated = len(held) > 0 and not options.held_out and _are_few(photos, options)
+    if is_repeated:
         everything = (*learnt, *held)
         trainer = _trained(out / _LAST_STATE, everything, trainer, _last(config), threads, say)
         removed += trainer.floaters
@@ -202,7 +202,7 @@ def train_splat(
         views=views,
         floaters=removed,
         sky=share,
-        learnt_after=again,
+        learnt_after=is_repeated,
     )
     with atomic_path(out / SPLAT) as temporary:
         write_splat(temporary, trainer.marked())
@@ -214,7 +214,7 @@ def train_splat(
     if views:
         kept = (
             "kept from it"
-            if not again
+            if not is_repeated
             else f"before it learnt from {'it' if len(views) == 1 else 'them'}"
         )
         seen = f", {report.psnr:.1f} dB on {plural(len(views), 'photograph')} {kept}"

@@ -219,16 +219,16 @@ class Build:
 
         def work() -> None:
             mesh = read_colour_mesh(mesh_file)
-            found = align(
+            alignment = align(
                 read_capture(self.folder.capture),
                 self.folder.capture,
                 (mesh.vertices.astype(np.float64), mesh.faces),
                 options,
                 self._say,
             )
-            if not found.is_to_scale:
+            if not alignment.is_to_scale:
                 self._say(f"align: not to scale: {later(self.folder.scene)}")
-            write_alignment(found, self.folder.align)
+            write_alignment(alignment, self.folder.align)
 
         of = [facts_of(options), digest_of_files(self.folder.capture, mesh_file)]
         self.folder.carry_out("align", of, work, self._say)

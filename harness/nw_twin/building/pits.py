@@ -154,10 +154,10 @@ class _Plan:
         asked = np.isfinite(off).reshape(rows, columns)
         heights = np.full((rows, columns), np.nan)
         below = np.full(int(asked.sum()), float(centres[:, 2].max()))
-        found = RayScene(moved_mesh(T, mesh.vertices, mesh.faces)).height(
+        measured = RayScene(moved_mesh(T, mesh.vertices, mesh.faces)).height(
             places[asked], z_from=below
         )
-        heights[asked] = np.where(np.isfinite(found), found, np.nan)
+        heights[asked] = np.where(np.isfinite(measured), measured, np.nan)
         return cls(origin=low, cell=cell, asked=asked, heights=heights)
 
     def places(self, cells: NDArray[np.integer]) -> F64:
@@ -260,11 +260,11 @@ def _over(middles: F64, plan: _Plan, bottom: F64, rim: F64) -> Cells:
     """Return which faces, by their middles (F, 3), lie in pits between bottom and rim."""
     cells = np.floor((middles[:, :2] - plan.origin) / plan.cell).astype(np.int64)
     inside = ((cells >= 0) & (cells < np.array(bottom.shape[::-1]))).all(axis=1)
-    found = np.zeros(len(middles), np.bool_)
+    covered = np.zeros(len(middles), np.bool_)
     column, row = cells[inside].T
     z = middles[inside, 2]
-    found[inside] = (z < rim[row, column] + _DEEP) & (z > bottom[row, column] - _DEEP)
-    return found
+    covered[inside] = (z < rim[row, column] + _DEEP) & (z > bottom[row, column] - _DEEP)
+    return covered
 
 
 def _walls(plan: _Plan, bottom: F64, rim: F64) -> F64:

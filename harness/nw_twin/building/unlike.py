@@ -214,23 +214,25 @@ def depth_differences(
     all_stations, all_distances = np.concatenate(stations), np.concatenate(distances)
     median, most = np.full((2, len(places)), np.nan)
     for number in np.unique(all_stations).tolist():
-        here = all_distances[all_stations == number]
-        median[number], most[number] = np.quantile(here, (0.5, 0.9), method="higher")
+        at_station = all_distances[all_stations == number]
+        median[number], most[number] = np.quantile(at_station, (0.5, 0.9), method="higher")
     overall = (np.nan, np.nan)
     if len(all_distances):
         overall = tuple(np.quantile(all_distances, (0.5, 0.9), method="higher").tolist())
     return DepthDifferences(median=median, most=most, photographs=photographs, overall=overall)
 
 
-def difference_findings(found: DepthDifferences, along: F64, places: F64) -> Iterator[SceneFinding]:
+def difference_findings(
+    differences: DepthDifferences, along: F64, places: F64
+) -> Iterator[SceneFinding]:
     """Yield where depths and mesh are too far apart, and where no photograph shows the ground.
 
     Args:
-        found: measured.
+        differences: of the depth maps from the mesh, as `depth_differences` returns them.
         along: (S,) of its stations, m from the start.
         places: (S, 3) of them, world, m.
     """
-    apart, blind = found.median > MOST_APART, found.photographs == 0
+    apart, blind = differences.median > MOST_APART, differences.photographs == 0
     for flags, words, fix in (
         (
             apart,
@@ -284,9 +286,9 @@ class _Plan:
     def cells(self, points: F64) -> Cells:
         """Return which squares some points (N, 3) lie in."""
         inside, places = self.places(points)
-        found = np.zeros(self.shape, dtype=bool)
-        found.flat[places[inside]] = True
-        return found
+        cells = np.zeros(self.shape, dtype=bool)
+        cells.flat[places[inside]] = True
+        return cells
 
 
 def _findings(

@@ -335,10 +335,10 @@ class _Solver:
         if len(solved.solution.placed) >= enough or all(one.focal is None for one in photographs):
             return solved
         self.say("the focal lengths in EXIF may be wrong: once more without them")
-        again = working / "again"
-        again.mkdir()
-        (again / "masks").symlink_to(working / "masks")
-        other = self._find_once([replace(one, focal=None) for one in photographs], again)
+        second = working / "again"
+        second.mkdir()
+        (second / "masks").symlink_to(working / "masks")
+        other = self._find_once([replace(one, focal=None) for one in photographs], second)
         return max(solved, other, key=lambda each: len(each.solution.placed))
 
     def _find_once(self, photographs: Sequence[Photograph], working: Path) -> _Solved:
@@ -456,11 +456,11 @@ def why_not(
     sharp = float(np.median([one.sharpness for one in good]))
     contrast = float(np.median([one.contrast for one in good]))
     most = {one.file: _most(one.file, files, matches) for one in left}
-    found = [_reason(one, sharp, contrast, most[one.file], matches) for one in left]
+    reasons = [_reason(one, sharp, contrast, most[one.file], matches) for one in left]
     apart = {name: _of_group(group, photographs, most) for group in groups for name in group}
     return [
         LeftOut(name=one.name, reason=GROUP, detail=apart[one.name]) if one.name in apart else one
-        for one in found
+        for one in reasons
     ]
 
 
@@ -477,12 +477,12 @@ def _of_group(group: Sequence[str], photographs: Sequence[Photograph], most: dic
 
 
 def _most(file: str, others: set[str], matches: Matches) -> int:
-    found = [
+    counts = [
         count
         for pair, count in matches.inliers.items()
         if file in pair and (pair[0] if pair[1] == file else pair[1]) in others
     ]
-    return max(found, default=0)
+    return max(counts, default=0)
 
 
 def _reason(one: Photograph, sharp: float, contrast: float, most: int, matches: Matches) -> LeftOut:

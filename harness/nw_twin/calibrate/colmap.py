@@ -66,7 +66,7 @@ def colmap_in(folder: Path, say: Say) -> Footage | None:
     Raises:
         SceneError: the model is damaged, or holds no photograph.
     """
-    place = next((found for name in _PLACES if (found := _model(folder / name, say))), None)
+    place = next((model for name in _PLACES if (model := _model(folder / name, say))), None)
     if place is None:
         return None
     cameras = read_model(place)

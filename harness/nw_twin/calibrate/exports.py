@@ -189,12 +189,12 @@ def _file(folder: Path, frame: dict[str, Any]) -> Found:
     endings = ("",) if Path(name).suffix else (".png", *sorted(SUFFIXES))  # Blender writes none.
     tails = ("/".join(parts[first:]) + end for first in range(len(parts)) for end in endings)
     name = next((one for one in tails if _is_file(folder, one)), name + endings[0])
-    found = found_in(folder, name)
+    photograph = found_in(folder, name)
     mask = frame.get("mask_path")
     if not isinstance(mask, str):
-        return found
+        return photograph
     try:
-        return replace(found, mask=inside(folder, mask))
+        return replace(photograph, mask=inside(folder, mask))
     except OutsideError as error:
         raise SceneError(f"the mask {mask} is not in {folder}: {error}", fix=_FIX) from None
 
@@ -234,10 +234,10 @@ def _applied(whole: dict[str, Any], file: Path) -> tuple[NDArray[np.float64], fl
 
 
 def _angle(values: dict[str, Any], key: str, whose: str) -> float:
-    found = number(values.get(key), f"{key} of {whose}")
-    if not 0.001 < found < math.pi:
-        raise SceneError(f"{key} of {whose} is {found:g}, no angle of view in rad", fix=_FIX)
-    return found
+    angle = number(values.get(key), f"{key} of {whose}")
+    if not 0.001 < angle < math.pi:
+        raise SceneError(f"{key} of {whose} is {angle:g}, no angle of view in rad", fix=_FIX)
+    return angle
 
 
 def _lens(values: dict[str, Any], one: Found, whose: str, size_of: SizeOf) -> Lens | None:

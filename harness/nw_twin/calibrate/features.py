@@ -197,11 +197,11 @@ def most_alike(scores: NDArray[np.int64]) -> set[tuple[int, int]]:
     Args:
         scores: (N, N), symmetric; of equals the first in order.
     """
-    found: set[tuple[int, int]] = set()
+    pairs: set[tuple[int, int]] = set()
     for i, row in enumerate(scores):
         best = [j for j in np.argsort(-row, kind="stable").tolist() if j != i and row[j] >= _HINT]
-        found |= {(min(i, j), max(i, j)) for j in best[:_ALIKE]}
-    return found
+        pairs |= {(min(i, j), max(i, j)) for j in best[:_ALIKE]}
+    return pairs
 
 
 def nearest(one: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.uint32]:
@@ -216,13 +216,13 @@ def nearest(one: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.
     """
     from nw_twin.calibrate.match_kernels import two_best
 
-    found, size = _Best.of(len(one), len(other)), len(one)
+    best, size = _Best.of(len(one), len(other)), len(one)
     across = np.ascontiguousarray(_in_blocks(other, _COLUMNS).transpose(0, 2, 1))
     blocks = _in_blocks(one, _ROWS)
     for first in range(0, len(blocks), _AT_ONCE):
         products = np.matmul(blocks[first : first + _AT_ONCE, None], across[None])
-        two_best(products, first * _ROWS, size, len(other), found.arrays)
-    return found.mutual()
+        two_best(products, first * _ROWS, size, len(other), best.arrays)
+    return best.mutual()
 
 
 def _in_blocks(descriptors: NDArray[np.float32], rows: int) -> NDArray[np.float32]:
@@ -274,12 +274,12 @@ class _Matching:
         self._photographs, self._lenses, self._working = photographs, lenses, working
         self._database, self._pictures = working / "matches.db", photographs[0].path.parent
         # Photographs share a camera: its lens if it is known, else by size and EXIF focal length.
-        found: dict[Any, tuple[Lens | None, list[Photograph]]] = {}
+        groups: dict[Any, tuple[Lens | None, list[Photograph]]] = {}
         for one, lens in zip(photographs, lenses, strict=True):
             focal = None if one.focal is None else round(one.focal, 1)
             key = lens or (one.width, one.height, focal)
-            found.setdefault(key, (lens, []))[1].append(one)
-        self._groups: Groups = list(found.values())
+            groups.setdefault(key, (lens, []))[1].append(one)
+        self._groups: Groups = list(groups.values())
         self._features: list[Features] = []
         self._keys: list[bytes] = []
         self._geometries: dict[tuple[int, int], _Geometry] = {}
@@ -316,8 +316,8 @@ class _Matching:
         self._keys = [
             _key(facts, _digest(one.path), _digest(one.mask)) for one in self._photographs
         ]
-        found = {key: self._kept and _features_in(self._kept.get(key)) for key in self._keys}
-        missing = [n for n, key in enumerate(self._keys) if found[key] is None]
+        by_key = {key: self._kept and _features_in(self._kept.get(key)) for key in self._keys}
+        missing = [n for n, key in enumerate(self._keys) if by_key[key] is None]
 
         def work(number: int) -> Features:
             if not hasattr(own, "extractor"):
@@ -325,13 +325,13 @@ class _Matching:
             return self._extracted(own.extractor, self._photographs[number])
 
         def take(number: int, features: Features) -> None:
-            found[self._keys[number]] = features
+            by_key[self._keys[number]] = features
             if self._kept is not None:
                 content = features.points.tobytes() + features.descriptors.tobytes()
                 self._kept.put(self._keys[number], content)
 
         self._share_out("features found", work, missing, take, len(self._keys))
-        self._features = [features for key in self._keys if (features := found[key]) is not None]
+        self._features = [features for key in self._keys if (features := by_key[key]) is not None]
 
     def _extracted(self, extractor: Any, one: Photograph) -> Features:
         bitmap = self._colmap.Bitmap.read(one.path, as_rgb=False)
@@ -345,14 +345,14 @@ class _Matching:
         keypoints, descriptors = extractor.extract(bitmap)
         points = self._colmap.keypoints_to_matrix(keypoints).astype(np.float32).reshape(-1, 4)
         points[:, :3] *= np.array([width / size[0], height / size[1], width / size[0]], np.float32)
-        found = descriptors.data.astype(np.uint8).reshape(-1, 128)
+        values = descriptors.data.astype(np.uint8).reshape(-1, 128)
         if one.mask is not None:
             with open_picture(one.mask) as image:
                 mask = np.asarray(image)
             x, y = points[:, :2].astype(int).T
             shown = mask[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)] > 0
-            points, found = points[shown], found[shown]
-        return Features(np.ascontiguousarray(points), np.ascontiguousarray(found))
+            points, values = points[shown], values[shown]
+        return Features(np.ascontiguousarray(points), np.ascontiguousarray(values))
 
     def pairs(self, matching: str) -> list[tuple[int, int]]:
         """Return which photographs are compared: (i, j), i < j, sorted."""
@@ -370,8 +370,8 @@ class _Matching:
         def work(i: int) -> list[int]:
             return [len(nearest(largest[i], other)) for other in largest[i + 1 :]]
 
-        def take(i: int, found: list[int]) -> None:
-            scores[i, i + 1 :] = scores[i + 1 :, i] = found
+        def take(i: int, numbers: list[int]) -> None:
+            scores[i, i + 1 :] = scores[i + 1 :, i] = numbers
 
         self._share_out("similar photographs looked for", work, range(len(largest)), take)
         return scores
@@ -387,18 +387,22 @@ class _Matching:
         }
         missing: list[tuple[int, int]] = []
         for pair in pairs:
-            found = self._kept and _geometry_in(
+            geometry = self._kept and _geometry_in(
                 self._kept.get(keys[pair]), [sizes[n] for n in pair]
             )
-            if found is None:
+            if geometry is None:
                 missing.append(pair)
             else:
-                self._geometries[pair] = found
+                self._geometries[pair] = geometry
 
-        def take(pair: tuple[int, int], found: _Geometry) -> None:
-            self._geometries[pair] = found
+        def take(pair: tuple[int, int], geometry: _Geometry) -> None:
+            self._geometries[pair] = geometry
             if self._kept is not None:
-                content = bytes([found.config]) + found.models.tobytes() + found.matches.tobytes()
+                content = (
+                    bytes([geometry.config])
+                    + geometry.models.tobytes()
+                    + geometry.matches.tobytes()
+                )
                 self._kept.put(keys[pair], content)
 
         self._share_out("pairs compared", self._compared, missing, take, len(pairs))
@@ -412,17 +416,17 @@ class _Matching:
         if len(matches) < least:
             return nothing
         points = [each.points[:, :2].astype(np.float64) for each in (one, other)]
-        found = self._colmap.estimate_two_view_geometry(
+        geometry = self._colmap.estimate_two_view_geometry(
             cameras[0], points[0], cameras[1], points[1], matches, self._verification
         )
-        if len(found.inlier_matches) < least:
+        if len(geometry.inlier_matches) < least:
             return nothing
         models = np.full((3, 3, 3), np.nan)
-        for index, model in enumerate((found.E, found.F, found.H)):
+        for index, model in enumerate((geometry.E, geometry.F, geometry.H)):
             if model is not None:
                 models[index] = model
-        config = int(found.config)
-        matches = np.asarray(found.inlier_matches, dtype=np.uint32).reshape(-1, 2)
+        config = int(geometry.config)
+        matches = np.asarray(geometry.inlier_matches, dtype=np.uint32).reshape(-1, 2)
         guided = self._guided(config, models, (one, other), points, cameras)
         matches = matches if guided is None else guided
         return _Geometry(config, models, matches) if len(matches) >= least else nothing

@@ -86,13 +86,13 @@ def map_cameras(
             except _FAILURES as error:
                 say(f"{kind} mapping failed: {error}")
                 models = {}
-        found = _largest_of(models, names, kind)
-        tries[kind] = len(found.solution.placed)
+        mapped = _largest_of(models, names, kind)
+        tries[kind] = len(mapped.solution.placed)
         say(f"{kind} mapping placed {tries[kind]} of {len(names)} photographs")
-        fits = fitting(matches.database, found.solution, files)
+        fits = fitting(matches.database, mapped.solution, files)
         count = sum(fit for fit, _ in fits.values())
         if count > most:
-            best, most = found, count
+            best, most = mapped, count
         unlike = [name for name, (fit, of) in fits.items() if fit < _AGREES * of]
         for name in unlike:
             say(f"the pose of {name} fits {fits[name][0] / fits[name][1]:.0%} of its matches")
@@ -112,10 +112,10 @@ def _largest_of(models: Mapping[int, Any], names: Mapping[str, str], how: str) -
     order = sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
     if not order:
         return Mapped(Solution(placed=()), how)
-    found = solution_of(order[0], names)
-    held = tied(found)
+    solution = solution_of(order[0], names)
+    held = tied(solution)
     counted, others = set(held.by_name), list[tuple[str, ...]]()
-    groups = [list(found.by_name)]
+    groups = [list(solution.by_name)]
     groups += [[names[m.images[key].name] for key in m.reg_image_ids()] for m in order[1:]]
     for group in groups:
         more = tuple(sorted(set(group) - counted))
@@ -137,7 +137,7 @@ def fitting(
         solution: cameras.
         files: of photographs by their names.
     """
-    found = {one.name: (0, 0) for one in solution.placed}
+    counts = {one.name: (0, 0) for one in solution.placed}
     with quiet() as pycolmap, closing(pycolmap.Database.open(database)) as opened:
         numbers = {image.name: image.image_id for image in opened.read_all_images()}
         views: dict[str, tuple[int, float, NDArray[np.float64]]] = {}
@@ -160,8 +160,8 @@ def fitting(
             apart = np.abs((q * there).sum(axis=1)) / np.maximum(long, 1e-12) * (f + g) / 2
             fit = int((apart < _FITS).sum())
             for name in (one.name, other.name):
-                found[name] = found[name][0] + fit, found[name][1] + len(rows)
-    return found
+                counts[name] = counts[name][0] + fit, counts[name][1] + len(rows)
+    return counts
 
 
 def _attended(

@@ -17,7 +17,7 @@ from nw_base.machine_code import inlined, kernel
 
 
 @kernel
-def two_best(products: Any, first_row: int, count: int, other: int, found: Any) -> None:
+def two_best(products: Any, first_row: int, count: int, other: int, largest: Any) -> None:
     """Take blocks of products into account: the largest two of each row and of each column.
 
     Args:
@@ -26,11 +26,11 @@ def two_best(products: Any, first_row: int, count: int, other: int, found: Any) 
         first_row: number of the first of them.
         count: of the one picture's descriptors; what goes beyond is not there.
         other: of the other's, as above.
-        found: in and out: (2, N) float32, the largest product of each row, then of each column;
+        largest: in and out: (2, N) float32, the largest product of each row, then of each column;
             (2, N) float32, the second largest; (2, N) int32, the column, then the row of the
             largest, of equals the first.
     """
-    best, second, place = found
+    best, second, place = largest
     blocks, across, rows, columns = products.shape
     for a in range(blocks):
         for r in range(rows):
@@ -57,8 +57,8 @@ def two_best(products: Any, first_row: int, count: int, other: int, found: Any) 
 
 
 @inlined
-def _take(r: int, k: int, one: Any, other: Any, found: Any) -> None:
-    best, second, place = found
+def _take(r: int, k: int, one: Any, other: Any, largest: Any) -> None:
+    best, second, place = largest
     total = np.int32(0)
     for i in range(one.shape[1]):
         total += np.int32(one[r, i]) * np.int32(other[k, i])
@@ -75,7 +75,7 @@ def _take(r: int, k: int, one: Any, other: Any, found: Any) -> None:
 
 @kernel
 def two_best_along(
-    lines: Any, points: Any, widths: Any, limit: float, one: Any, other: Any, found: Any
+    lines: Any, points: Any, widths: Any, limit: float, one: Any, other: Any, largest: Any
 ) -> None:
     """As `two_best`, of pairs near each other's epipolar line alone.
 
@@ -89,19 +89,19 @@ def two_best_along(
         limit: of the Sampson error, squared.
         one: (N, 128) uint8, descriptors.
         other: (M, 128) uint8.
-        found: as for `two_best`.
+        largest: as for `two_best`.
     """
     for r in range(lines.shape[0]):
         a, b, c, width = lines[r, 0], lines[r, 1], lines[r, 2], lines[r, 3]
         for k in range(points.shape[0]):
             off = a * points[k, 0] + b * points[k, 1] + c
             if off * off <= limit * (width + widths[k]):
-                _take(r, k, one, other, found)
+                _take(r, k, one, other, largest)
 
 
 @kernel
 def two_best_near(
-    targets: Any, points: Any, limit: float, one: Any, other: Any, found: Any
+    targets: Any, points: Any, limit: float, one: Any, other: Any, largest: Any
 ) -> None:
     """As `two_best`, of pairs alone that lie where a homography puts them.
 
@@ -111,11 +111,11 @@ def two_best_near(
         limit: of the distance, squared.
         one: (N, 128) uint8, descriptors.
         other: (M, 128) uint8.
-        found: as for `two_best`.
+        largest: as for `two_best`.
     """
     for r in range(targets.shape[0]):
         x, y = targets[r, 0], targets[r, 1]
         for k in range(points.shape[0]):
             dx, dy = points[k, 0] - x, points[k, 1] - y
             if dx * dx + dy * dy <= limit:
-                _take(r, k, one, other, found)
+                _take(r, k, one, other, largest)

@@ -232,8 +232,8 @@ def _take_in(
 
 
 def _xmp(image: Image.Image) -> bytes:
-    found = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
-    return found if isinstance(found, bytes) else str(found).encode(errors="replace")
+    packet = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
+    return packet if isinstance(packet, bytes) else str(packet).encode(errors="replace")
 
 
 def upright_size(path: Path, lens: Lens | None) -> tuple[int, int] | None:
@@ -326,15 +326,15 @@ def _mask(one: Found, target: Path, size: tuple[int, int], working: Path) -> Pat
         return None
     try:
         with open_picture(one.mask) as image:
-            found = image.size
-            kept = np.asarray(image.convert("L")) > 0 if found == size else None
+            mask_size = image.size
+            kept = np.asarray(image.convert("L")) > 0 if mask_size == size else None
     except DAMAGE as error:
         raise SceneError(
             f"the mask {one.mask} cannot be read: {error}", fix="write it again, or remove it"
         ) from None
     if kept is None:
         raise SceneError(
-            f"the mask {one.mask} has {found} pixels, {one.name} has {size}",
+            f"the mask {one.mask} has {mask_size} pixels, {one.name} has {size}",
             fix="write it in its photograph's size",
         )
     path = working / "masks" / f"{target.name}.png"
@@ -450,14 +450,14 @@ def with_masks(files: list[Found], folders: list[Path]) -> list[Found]:
         return files
     masks = {name.lower(): name for name in sorted(names_in(folder, SUFFIXES))}
     stems = {Path(name).stem.lower(): name for name in sorted(names_in(folder, SUFFIXES))}
-    found: list[Found] = []
+    photographs: list[Found] = []
     for one in files:
         name = one.name.lower()
         mask = masks.get(f"{name}.png") or stems.get(Path(name).stem)
         try:
-            found.append(one if mask is None else replace(one, mask=inside(folder, mask)))
+            photographs.append(one if mask is None else replace(one, mask=inside(folder, mask)))
         except OutsideError as error:
             raise SceneError(
                 f"the mask {mask} is not in {folder}: {error}", fix="copy it there"
             ) from None
-    return found
+    return photographs

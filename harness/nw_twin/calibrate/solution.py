@@ -70,14 +70,14 @@ def check_pose(matrix: NDArray[np.float64], whose: str) -> None:
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise SceneError(f"the pose of {whose} is not a finite 4x4 matrix", fix="export it again")
     if np.abs(matrix[:3, :3]).max() > _ENTRY:
-        found = f"is not a rotation: {matrix[:3, :3].tolist()}"
+        fault = f"is not a rotation: {matrix[:3, :3].tolist()}"
     elif np.abs(matrix[3] - (0, 0, 0, 1)).max() > _LAST:
-        found = f"has the last row {matrix[3].tolist()}, not 0 0 0 1"
+        fault = f"has the last row {matrix[3].tolist()}, not 0 0 0 1"
     elif np.abs(matrix[:3, 3]).max() > FARTHEST:
-        found = f"is at {matrix[:3, 3].tolist()}, over {FARTHEST:g} from the origin"
+        fault = f"is at {matrix[:3, 3].tolist()}, over {FARTHEST:g} from the origin"
     else:
         return
-    raise SceneError(f"the pose of {whose} {found}", fix="export it again")
+    raise SceneError(f"the pose of {whose} {fault}", fix="export it again")
 
 
 def rigid(matrix: NDArray[np.float64], whose: str) -> NDArray[np.float64]:

@@ -222,10 +222,10 @@ def _upright(frame: Any, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     Phones film sideways and say so. The matrix maps a pixel (x, y) to (a x + c y, b x + d y).
     """
     matrices = (one for one in frame.side_data if one.type.name == "DISPLAYMATRIX")
-    found = next(matrices, None)
-    if found is None:
+    matrix = next(matrices, None)
+    if matrix is None:
         return pixels
-    (a, b, _), (c, d, _) = np.frombuffer(bytes(found), np.int32).reshape(3, 3)[:2].tolist()
+    (a, b, _), (c, d, _) = np.frombuffer(bytes(matrix), np.int32).reshape(3, 3)[:2].tolist()
     across = abs(b) > abs(a)
     pixels = pixels.swapaxes(0, 1) if across else pixels
     right, down = (c, b) if across else (a, d)

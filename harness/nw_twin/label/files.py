@@ -406,11 +406,11 @@ def copy_scene(reference: str, out: Path, *, robot: str = "go1") -> None:
         StoreError: it cannot be written.
     """
     check_new(out, fix=f"label that, nw-eval twin label {out}, or name another")
-    here = brought(reference)
-    files = None if is_built_in(here) else scene_files(here)
+    folder = brought(reference)
+    files = None if is_built_in(folder) else scene_files(folder)
     with new_folder(out) as staged:
         if files is None or files.prefix:
-            write_place(open_scene(here), staged)
+            write_place(open_scene(folder), staged)
         else:
             for name, path in files.files.items():
                 (staged / name).parent.mkdir(parents=True, exist_ok=True)

@@ -200,53 +200,53 @@ def hints_on(stops: Sequence[Point], profile: HeightProfile) -> tuple[Hint, ...]
 
 
 def _on_stops(stops: Sequence[Point], profile: HeightProfile) -> list[str]:
-    found: list[str] = []
+    doubts: list[str] = []
     for i, (at, level) in enumerate(zip(profile.stops, profile.levels, strict=True)):
         name = f"waypoint {i}" if i else "the start"
         nearest = int(np.abs(profile.distance - at).argmin())
         height = profile.height[nearest]
         if not np.isfinite(height):
-            found.append(f"There is no ground under {name}.")
+            doubts.append(f"There is no ground under {name}.")
         # On an edge the ground is at either height.
         elif np.abs(profile.height[max(nearest - 2, 0) : nearest + 3] - level).min() > _OFF_GROUND:
-            found.append(
+            doubts.append(
                 f"{name.capitalize()} is {abs(level - height):.2f} m "
                 f"{'above' if level > height else 'below'} the ground."
             )
     length = float(profile.stops[-1])
     if length > _LONGEST:
-        found.append(
+        doubts.append(
             f"The course is {length:.1f} m long; in the 12 s of a trial the policy walks about "
             f"{_LONGEST:g} m: set `duration` in the suite."
         )
     if len(stops) < 2 or length < _RADIUS:
-        found.append("The robot starts at its goal.")
+        doubts.append("The robot starts at its goal.")
     elif float(np.hypot(*np.subtract(stops[1], stops[0])[:2])) < _RADIUS + _JITTER:
-        found.append("Waypoint 1 is reached at the start: move it ahead, or the start back.")
-    return found
+        doubts.append("Waypoint 1 is reached at the start: move it ahead, or the start back.")
+    return doubts
 
 
 def _on_legs(stops: Sequence[Point]) -> list[str]:
-    found: list[str] = []
+    doubts: list[str] = []
     plan = np.array(stops)[:, :2]
     legs = np.diff(plan, axis=0)
     lengths = np.linalg.norm(legs, axis=1)
     for i, length in enumerate(lengths):
         if length > _LONGEST_LEG:
-            found.append(
+            doubts.append(
                 f"It is {length:.1f} m to waypoint {i + 1}: the policy may stray; add one every "
                 f"{_LONGEST_LEG:g} m."
             )
         elif i and length < _RADIUS:
-            found.append(
+            doubts.append(
                 f"Waypoint {i + 1} is {length:.2f} m from the last: both count as reached at once."
             )
     headings = np.arctan2(legs[:, 1], legs[:, 0])
     for i, change in enumerate(np.diff(headings)):
         turned = abs((change + math.pi) % (2 * math.pi) - math.pi)
         if turned > _SHARPEST and min(lengths[i], lengths[i + 1]) > 0:
-            found.append(f"The course turns by {math.degrees(turned):.0f} degrees at {i + 1}.")
-    return found
+            doubts.append(f"The course turns by {math.degrees(turned):.0f} degrees at {i + 1}.")
+    return doubts
 
 
 def _beyond(obstacle: Obstacle, which: int) -> bool:
@@ -301,8 +301,8 @@ def obstacles_of(profile: HeightProfile) -> tuple[Obstacle, ...]:
         within = height[first : last + _WINDOW + 1]
         steepest = int((sign[first] * np.diff(within)).argmax())
         edges.append((float(at[first + steepest]), float(within[-1] - within[0])))
-    found = [*_paired(edges), *_ramps(at, height, sign != 0)]
-    return tuple(sorted(found, key=lambda obstacle: obstacle.at))
+    obstacles = [*_paired(edges), *_ramps(at, height, sign != 0)]
+    return tuple(sorted(obstacles, key=lambda obstacle: obstacle.at))
 
 
 def _runs(sign: NDArray[np.float64]) -> list[tuple[int, int]]:
@@ -316,22 +316,22 @@ def _runs(sign: NDArray[np.float64]) -> list[tuple[int, int]]:
 
 def _paired(edges: list[tuple[float, float]]) -> list[Obstacle]:
     """Return obstacles of edges (distance, rise): up and down is a hurdle, down and up a gap."""
-    found: list[Obstacle] = []
+    obstacles: list[Obstacle] = []
     i = 0
     while i < len(edges):
         at, rise = edges[i]
         after, back = edges[i + 1] if i + 1 < len(edges) else (math.inf, 0.0)
         width = after - at
         if rise > 0 > back and width <= _LONGEST_HURDLE and -back > rise / 2:
-            found.append(Obstacle(kind="hurdle", at=at, size=rise))
+            obstacles.append(Obstacle(kind="hurdle", at=at, size=rise))
             i += 2
         elif rise < 0 < back and width <= _LONGEST_GAP and min(-rise, back) >= _LEAST_GAP:
-            found.append(Obstacle(kind="gap", at=at, size=width))
+            obstacles.append(Obstacle(kind="gap", at=at, size=width))
             i += 2
         else:
-            found.append(Obstacle(kind="step", at=at, size=abs(rise)))
+            obstacles.append(Obstacle(kind="step", at=at, size=abs(rise)))
             i += 1
-    return found
+    return obstacles
 
 
 def _ramps(

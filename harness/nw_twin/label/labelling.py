@@ -124,14 +124,14 @@ class SceneEdits:
 
     def scale_to(self, metres: float) -> None:
         """Scale the scene so that its two markers are `metres` apart."""
-        now = self.distance
+        measured = self.distance
         self._check_number("a distance", metres)
-        if now is None or now < 1e-6 or metres <= 0:
+        if measured is None or measured < 1e-6 or metres <= 0:
             raise UsageError(
-                f"markers {now} m apart cannot be {metres:g} m apart",
+                f"markers {measured} m apart cannot be {metres:g} m apart",
                 fix="put two markers at points with a known distance, and type it",
             )
-        self._move(stretch(metres / now), to_scale=True)
+        self._move(stretch(metres / measured), to_scale=True)
 
     def set_unit(self, unit: Unit) -> None:
         """Say in which unit the files are that were opened; lengths that were measured go."""
@@ -452,8 +452,8 @@ class Labelling(SceneEdits):
     @property
     def is_saved(self) -> bool:
         """Whether the files say what is decided now; markers are not saved."""
-        now, then = (replace(one, markers=(), floor=()) for one in (self.state, self._saved))
-        return now == then
+        current, saved = (replace(one, markers=(), floor=()) for one in (self.state, self._saved))
+        return current == saved
 
     def save(self) -> Path:
         """Write what is decided into the scene folder that was opened.
@@ -511,9 +511,9 @@ class Labelling(SceneEdits):
                 start=StartPose(position=spawn.position, yaw=spawn.yaw),
             )
         )
-        found = "; ".join(proposal.reasons)
+        reasons = "; ".join(proposal.reasons)
         looks = "".join(f" Check this: {warning}." for warning in proposal.warnings)
-        return f"Proposed for {proposal.task}: {found}.{looks}"
+        return f"Proposed for {proposal.task}: {reasons}.{looks}"
 
     def _waypoints(self, index: int) -> list[Point]:
         if not 0 <= index < len(self.state.waypoints):
@@ -536,13 +536,13 @@ class Labelling(SceneEdits):
     def _on_ground(self, point: Point) -> Point:
         for part in point:
             self._check_number("a position", part)
-        found = self._shown.ground.dropped(*point)
-        if found is None:
+        ground = self._shown.ground.dropped(*point)
+        if ground is None:
             raise UsageError(
                 f"there is no ground under x {point[0]:.2f}, y {point[1]:.2f}",
                 fix="stay on the scene, or make the crop larger",
             )
-        return found
+        return ground
 
     def _check_trail(self) -> None:
         if not self.state.waypoints:

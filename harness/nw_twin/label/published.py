@@ -205,9 +205,9 @@ def _check_replaceable(target: Path, scene: str) -> None:
         "3dgs/model.pt",
     }
     kind = what_is(target)
-    found = {path.relative_to(target).as_posix() for path in target.rglob("*")}
-    if kind == "file" or target.is_symlink() or found - ours:
-        other = ", ".join(sorted(found - ours)[:3]) or "it"
+    files = {path.relative_to(target).as_posix() for path in target.rglob("*")}
+    if kind == "file" or target.is_symlink() or files - ours:
+        other = ", ".join(sorted(files - ours)[:3]) or "it"
         raise StoreError(
             f"{target} is in the way: {other} was not written here", fix="move it away"
         )

@@ -136,8 +136,8 @@ def _one_sheet(mesh: ColourMesh, voxel: float) -> ColourMesh:
     search = PlaneSearch.of(mesh, voxel)
     larger: list[tuple[F64, float, NDArray[np.bool_]]] = []
     doubled = np.zeros(len(mesh.vertices), np.bool_)
-    found = sorted(_large_planes(search), key=lambda plane: -float(search.area[plane[2]].sum()))
-    for normal, offset, near in found:
+    planes = sorted(_large_planes(search), key=lambda plane: -float(search.area[plane[2]].sum()))
+    for normal, offset, near in planes:
         for other, place, whose in larger:
             apart = abs(float(np.median(search.points[near] @ other)) - place)
             if normal @ other > _PARALLEL and apart < _APART * voxel:
@@ -164,9 +164,9 @@ def _above(
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
             around += np.isin(cells[some] + down * width + right, taken)
-    found = np.zeros(len(points), np.bool_)
-    found[some] = around >= _AROUND
-    return found
+    above = np.zeros(len(points), np.bool_)
+    above[some] = around >= _AROUND
+    return above
 
 
 def flattened(
@@ -250,10 +250,10 @@ def on_planes(
     mesh: ColourMesh, planes: Sequence[FlatPlane | SupposedPlane], voxel: float
 ) -> NDArray[np.bool_]:
     """Return whether each vertex (V,) lies on one of the planes and faces as it does."""
-    search, found = PlaneSearch.of(mesh, voxel), np.zeros(len(mesh.vertices), np.bool_)
+    search, on_plane = PlaneSearch.of(mesh, voxel), np.zeros(len(mesh.vertices), np.bool_)
     for plane in planes:
-        found |= search.near(np.array(plane.normal), plane.offset, _BAND)
-    return found
+        on_plane |= search.near(np.array(plane.normal), plane.offset, _BAND)
+    return on_plane
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -331,19 +331,19 @@ def holes(mesh: ColourMesh) -> list[Hole]:
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     own = whose[local[:, 0]]
     order = np.argsort(own, kind="stable")
-    found: list[Hole] = []
+    holes: list[Hole] = []
     for rows in np.split(order, np.searchsorted(own[order], np.arange(1, loops))):
         points = ends[rows].reshape(-1, 3)
         x, y, z = points.mean(axis=0)
         span = points.max(axis=0) - points.min(axis=0)
-        found.append(
+        holes.append(
             Hole(
                 centre=(float(x), float(y), float(z)),
                 length=float(lengths[rows].sum()),
                 across=float(np.linalg.norm(span)),
             )
         )
-    return sorted(found, key=lambda hole: (-hole.length, hole.centre))
+    return sorted(holes, key=lambda hole: (-hole.length, hole.centre))
 
 
 def simplify(mesh: ColourMesh, most: int) -> ColourMesh:

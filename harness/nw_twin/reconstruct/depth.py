@@ -126,10 +126,10 @@ def depth_maps(
         )
     near = {place: [other for other in pairs[place] if other in places] for place in places}
     keys = {place: _key_of(views, place, near[place], reaches[place]) for place in places}
-    found: dict[int, Matched] = {}
+    matches: dict[int, Matched] = {}
     with _single_threaded(), _pool(threads) as pool:
         for turn in range(1 + options.rounds):
-            before, found = found, {}
+            before, matches = matches, {}
             if turn:
                 keys = {
                     place: _joined(turn, keys[place], *(keys[j] for j in near[place]))
@@ -155,13 +155,13 @@ def depth_maps(
                 return write_matched(path, new, keys[place])
 
             for place, each in zip(places, pool.map(one, places), strict=True):
-                found[place] = each
-                done = f"{len(found)} of {len(places)}"
+                matches[place] = each
+                done = f"{len(matches)} of {len(places)}"
                 what = "is compared with its neighbours" if turn else "is matched"
                 say(f"depth of {views[place].name} {what}: {done}")
         ground = SparsePlanes.of(capture)
         whole = pool.map(
-            lambda place: _known(views, found, near, place, reaches[place], ground),
+            lambda place: _known(views, matches, near, place, reaches[place], ground),
             places,
         )
         return list(whole)
@@ -184,8 +184,8 @@ def _reaches(capture: Capture, pairs: list[list[int]]) -> dict[int, tuple[float,
     Ground before a camera has few points or none, and another camera is held as high: the nearest
     depth is that of all of them.
     """
-    found = {place: depth_range(capture, place) for place, near in enumerate(pairs) if near}
-    whole = {place: reach for place, reach in found.items() if reach}
+    ranges = {place: depth_range(capture, place) for place, near in enumerate(pairs) if near}
+    whole = {place: reach for place, reach in ranges.items() if reach}
     least = min((near for near, _ in whole.values()), default=0.0) * _NEARER
     return {place: (least, far * _FARTHER) for place, (_, far) in whole.items()}
 
@@ -203,15 +203,15 @@ def near_of(capture: Capture, maps: list[DepthMap], options: DepthOptions) -> li
 
 def _known(
     views: list[WorkingView],
-    found: dict[int, Matched],
+    matches: dict[int, Matched],
     near: dict[int, list[int]],
     index: int,
     reach: tuple[float, float],
     ground: SparsePlanes,
 ) -> DepthMap:
     """Return what of a picture's planes is taken for right."""
-    cv2, view, own = package("cv2"), views[index], found[index]
-    others, theirs = [views[j] for j in near[index]], [found[j] for j in near[index]]
+    cv2, view, own = package("cv2"), views[index], matches[index]
+    others, theirs = [views[j] for j in near[index]], [matches[j] for j in near[index]]
     count, distinct = confirming(view, others, own, theirs)
     known = (distinct >= LEAST_AGREEING) & (own.costs <= _WORST)
     # What is plain lies as what is known around it does, and the others say so too.
@@ -242,9 +242,9 @@ def _variance(grey: F32, side: int) -> F32:
     return cv2.blur(grey * grey, size) - cv2.blur(grey, size) ** 2
 
 
-def darker(found: DepthMap) -> NDArray[np.bool_]:
+def darker(depth_map: DepthMap) -> NDArray[np.bool_]:
     """Return which pixels (H, W) are darker than the known ones about them."""
-    return darkness(found.view, found.depth > 0.0) >= DARKER
+    return darkness(depth_map.view, depth_map.depth > 0.0) >= DARKER
 
 
 def darkness(view: WorkingView, known: NDArray[np.bool_]) -> F32:
@@ -265,7 +265,7 @@ def darkness(view: WorkingView, known: NDArray[np.bool_]) -> F32:
     return np.where(weight > _FEW, about - colour, np.float32(0.0))
 
 
-def write_map(capture: Capture, found: DepthMap, out: Path) -> None:
+def write_map(capture: Capture, depth_map: DepthMap, out: Path) -> None:
     """Write `out/depth/<shot>.npz`: depth, confidence, normal at the size of the shot's picture.
 
     Normals are float16.
@@ -273,32 +273,32 @@ def write_map(capture: Capture, found: DepthMap, out: Path) -> None:
     Raises:
         StoreError: the file cannot be written.
     """
-    (shot,) = (shot for shot in capture.shots if shot.name == found.view.name)
+    (shot,) = (shot for shot in capture.shots if shot.name == depth_map.view.name)
     camera = shot.camera
-    depth, confidence, normal = found.depth, found.confidence, found.normal
+    depth, confidence, normal = depth_map.depth, depth_map.confidence, depth_map.normal
     size = (camera.height, camera.width)
     if depth.shape != size:
         lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-        depth, confidence, normal = _enlarged(found, lens, size)
+        depth, confidence, normal = _enlarged(depth_map, lens, size)
     path = array_file(out / "depth", shot.name)
     write_arrays(path, depth=depth, confidence=confidence, normal=normal.astype(np.float16))
 
 
-def _enlarged(found: DepthMap, lens: F64, size: tuple[int, int]) -> tuple[F32, F32, F32]:
+def _enlarged(depth_map: DepthMap, lens: F64, size: tuple[int, int]) -> tuple[F32, F32, F32]:
     """Return depth, confidence and normal at a larger size: each pixel on its nearest plane."""
-    K, (height, width) = found.view.K, found.view.size
+    K, (height, width) = depth_map.view.K, depth_map.view.size
     rows = np.minimum(((np.arange(size[0]) + 0.5) * height / size[0]).astype(np.int64), height - 1)
     columns = np.minimum(((np.arange(size[1]) + 0.5) * width / size[1]).astype(np.int64), width - 1)
     depth, confidence, normal = (
-        each[rows][:, columns] for each in (found.depth, found.confidence, found.normal)
+        each[rows][:, columns] for each in (depth_map.depth, depth_map.confidence, depth_map.normal)
     )
     x = (columns + 0.5 - K[0, 2]) / K[0, 0]
     y = (rows[:, None] + 0.5 - K[1, 2]) / K[1, 1]
     there = normal[..., 0] * x + normal[..., 1] * y + normal[..., 2]
     x = (np.arange(size[1]) + 0.5 - lens[2]) / lens[0]
     y = (np.arange(size[0])[:, None] + 0.5 - lens[3]) / lens[1]
-    here = np.minimum(normal[..., 0] * x + normal[..., 1] * y + normal[..., 2], -1e-6)
-    depth = depth * np.clip(there / here, 0.9, 1.1)
+    slope = np.minimum(normal[..., 0] * x + normal[..., 1] * y + normal[..., 2], -1e-6)
+    depth = depth * np.clip(there / slope, 0.9, 1.1)
     return depth.astype(np.float32), confidence, normal
 
 
@@ -356,15 +356,15 @@ def read_depth(folder: Path, shot: str) -> tuple[NDArray[np.float32], NDArray[np
     return (np.where(known, depth, np.float32(0.0)), np.where(known, sure, np.float32(0.0)))
 
 
-def write_matched(path: Path, found: Matched, key: str) -> Matched:
+def write_matched(path: Path, matched: Matched, key: str) -> Matched:
     """Keep planes under the key of what they are of; return them as they are read again.
 
     Raises:
         StoreError: the file cannot be written.
     """
-    normals = np.round(found.planes[..., 1:] * _NORMAL).astype(np.int16)
-    costs = np.round(found.costs * _COST).astype(np.uint16)
-    depth = found.planes[..., 0]
+    normals = np.round(matched.planes[..., 1:] * _NORMAL).astype(np.int16)
+    costs = np.round(matched.costs * _COST).astype(np.uint16)
+    depth = matched.planes[..., 0]
     write_arrays(path, depth=depth, normals=normals, costs=costs, key=np.array(key))
     return _matched(depth, normals, costs)
 
@@ -372,10 +372,10 @@ def write_matched(path: Path, found: Matched, key: str) -> Matched:
 def read_matched(path: Path, key: str, size: tuple[int, int]) -> Matched | None:
     """Return what `write_matched` kept; None if there is nothing, or of something else."""
     try:
-        found, depth, normals, costs = _arrays(path, ("key", "depth", "normals", "costs"))
+        stored_key, depth, normals, costs = _arrays(path, ("key", "depth", "normals", "costs"))
     except _DAMAGE:
         return None
-    if str(found) != key or depth.shape != size or normals.shape != (*size, 3):
+    if str(stored_key) != key or depth.shape != size or normals.shape != (*size, 3):
         return None
     return _matched(depth, normals, costs)
 

@@ -107,10 +107,10 @@ def agreed(
     _, distinct = confirming(view, others, own, theirs)
     known = (distinct >= min(2, len(others))) & (own.costs < _SURE)
     prior = expected(view, own, known, reach)
-    found, costs = own.planes.copy(), own.costs.copy()
+    chosen, costs = own.planes.copy(), own.costs.copy()
     limits = (np.float32(reach[0]), np.float32(reach[1]))
-    picture.spread(_LATER + 1 + turn, limits, seen, planes, prior, found, costs)
-    return Matched(planes=found, costs=costs)
+    picture.spread(_LATER + 1 + turn, limits, seen, planes, prior, chosen, costs)
+    return Matched(planes=chosen, costs=costs)
 
 
 def confirming(

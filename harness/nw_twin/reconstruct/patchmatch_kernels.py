@@ -198,10 +198,10 @@ def _apart(px: Any, py: Any, z: Any, s: Any, links: Any, sizes: Any, planes: Any
     nx, ny, nz = planes[s, j, i, 1], planes[s, j, i, 2], planes[s, j, i, 3]
     fx, fy, cx, cy = links[s, 24], links[s, 25], links[s, 26], links[s, 27]
     own = nx * (F(i) - cx) / fx + ny * (F(j) - cy) / fy + nz
-    here = nx * (u - cx) / fx + ny * (v - cy) / fy + nz
-    off = abs(c * here - there * own) / c
-    if own * here > _ZERO:
-        there *= min(max(own / here, F(0.8)), F(1.25))
+    slope = nx * (u - cx) / fx + ny * (v - cy) / fy + nz
+    off = abs(c * slope - there * own) / c
+    if own * slope > _ZERO:
+        there *= min(max(own / slope, F(0.8)), F(1.25))
     x = there * (links[s, 12] * u + links[s, 13] * v + links[s, 14]) + links[s, 21]
     y = there * (links[s, 15] * u + links[s, 16] * v + links[s, 17]) + links[s, 22]
     w = there * (links[s, 18] * u + links[s, 19] * v + links[s, 20]) + links[s, 23]
@@ -274,11 +274,11 @@ def _best_of(x: Any, y: Any, side: Any, offsets: Any, costs: Any) -> Any:
 
 @part
 def _neighbours(
-    x: Any, y: Any, lens: Any, near: Any, far: Any, planes: Any, costs: Any, found: Any
+    x: Any, y: Any, lens: Any, near: Any, far: Any, planes: Any, costs: Any, candidates: Any
 ) -> Any:
-    """Write a pixel's plane and the best of each of eight regions to `found`; return how many."""
+    """Write a pixel's plane and each of eight regions' best to `candidates`; return how many."""
     rx, ry, count = (F(x) - lens[2]) / lens[0], (F(y) - lens[3]) / lens[1], 1
-    found[0] = planes[y, x]
+    candidates[0] = planes[y, x]
     for region in range(8):
         i, j = _best_of(x, y, region // 2, _NEAR if region % 2 == 0 else _FAR, costs)
         if i < 0:
@@ -289,8 +289,8 @@ def _neighbours(
             there = nx * (F(i) - lens[2]) / lens[0] + ny * (F(j) - lens[3]) / lens[1] + nz
             z = planes[j, i, 0] * there / along
             if near < z < far:
-                found[count, 0], found[count, 1] = z, nx
-                found[count, 2], found[count, 3] = ny, nz
+                candidates[count, 0], candidates[count, 1] = z, nx
+                candidates[count, 2], candidates[count, 3] = ny, nz
                 count += 1
     return count
 
@@ -475,19 +475,24 @@ def spread(
     count = len(links)
     values, weights = np.zeros(_LANES, np.float32), np.zeros(_LANES, np.float32)
     there, sums = np.zeros(_LANES, np.float32), np.zeros((3, 8), np.float32)
-    found, each = np.zeros((10, 4), np.float32), np.zeros((10, count), np.float32)
+    candidates, each = np.zeros((10, 4), np.float32), np.zeros((10, count), np.float32)
     trust, seen = np.zeros(count, np.float32), (lens, links, sizes, packed, others)
     good = F(0.8) * F(np.exp(-turn * turn / 90.0))
     for y in range(height):
         for x in range((y + colour) % 2, width, 2):
             mean, var = _window(x, y, grey, values, weights)
             window, dull = (values, weights, there, sums, mean, var), _ZERO
-            n = _neighbours(x, y, lens, near, far, planes, costs, found)
+            n = _neighbours(x, y, lens, near, far, planes, costs, candidates)
             if len(prior) > 0 and prior[y, x, 0] > _ZERO:
-                dull, found[n] = _PRIOR * _TEXTURE / (_TEXTURE + var), prior[y, x]
+                dull, candidates[n] = _PRIOR * _TEXTURE / (_TEXTURE + var), prior[y, x]
                 n += 1
             for h in range(n):
-                z, nx, ny, nz = found[h, 0], found[h, 1], found[h, 2], found[h, 3]
+                z, nx, ny, nz = (
+                    candidates[h, 0],
+                    candidates[h, 1],
+                    candidates[h, 2],
+                    candidates[h, 3],
+                )
                 for s in range(count):
                     each[h, s] = _cost(F(x), F(y), z, nx, ny, nz, s, window, seen)
             total = _trust(each, n, good, most, trust)
@@ -498,11 +503,21 @@ def spread(
                     cost += trust[s] * each[h, s]
                 cost /= total
                 if dull > _ZERO:
-                    z, nx, ny, nz = found[h, 0], found[h, 1], found[h, 2], found[h, 3]
+                    z, nx, ny, nz = (
+                        candidates[h, 0],
+                        candidates[h, 1],
+                        candidates[h, 2],
+                        candidates[h, 3],
+                    )
                     cost += dull * _off_prior(z, nx, ny, nz, prior, y, x)
                 if cost < best:
                     best, chosen = cost, h
-            plane = (found[chosen, 0], found[chosen, 1], found[chosen, 2], found[chosen, 3])
+            plane = (
+                candidates[chosen, 0],
+                candidates[chosen, 1],
+                candidates[chosen, 2],
+                candidates[chosen, 3],
+            )
             number = (x + y * width, turn, picture)
             plane, best = _improved(
                 x, y, plane, best, number, near, far, trust, total, dull, prior, window, seen
@@ -576,7 +591,7 @@ def count_confirming(
                 if beside < pixels and off < share and _angle_is(px, py, z, sine, lens, s, links):
                     count[y, x] += 1
                     step = _ONE + _step(px, py, z, s, links)
-                    here = _cost(px, py, z, nx, ny, nz, s, window, seen)
+                    cost = _cost(px, py, z, nx, ny, nz, s, window, seen)
                     before = _cost(px, py, z / step, nx, ny, nz, s, window, seen)
                     behind = _cost(px, py, z * step, nx, ny, nz, s, window, seen)
-                    distinct[y, x] += here + _WORSE < min(before, behind)
+                    distinct[y, x] += cost + _WORSE < min(before, behind)

@@ -277,13 +277,13 @@ def planar_maps(
             return Labels(depth=own.depth, normal=own.normal, planar=none)
         return labelled(maps[number], others, planes, farthest)
 
-    found: list[Labels] = []
+    labelled_views: list[Labels] = []
     with ThreadPoolExecutor(threads) as pool:
         for number, labels in enumerate(pool.map(label, range(len(maps)))):
-            found.append(labels)
+            labelled_views.append(labels)
             say(f"planes of {maps[number].view.name}: {number + 1} of {len(maps)}")
         whole = pool.map(
-            lambda number: _agreed(maps, near[number], found, number), range(len(maps))
+            lambda number: _agreed(maps, near[number], labelled_views, number), range(len(maps))
         )
         return list(whole)
 
@@ -291,10 +291,10 @@ def planar_maps(
 def _agreed(
     maps: Sequence[DepthMap],
     near: Sequence[int],
-    found: Sequence[Labels],
+    labelled_views: Sequence[Labels],
     number: int,
 ) -> DepthMap:
-    own, labels = maps[number], found[number]
+    own, labels = maps[number], labelled_views[number]
     size = own.view.size
     count, seen, through = (np.zeros(size, np.uint8) for _ in range(3))
     for other, each in enumerate(maps):
@@ -302,9 +302,9 @@ def _agreed(
             continue
         move, shift = own.view.to(each.view)
         if other in near:
-            depth = found[other].depth
+            depth = labelled_views[other].depth
             count_agreeing(labels.depth, depth, move, shift, _TOLERANCE, count)
-        count_seen(labels.depth, found[other].depth, move, shift, seen, through)
+        count_seen(labels.depth, labelled_views[other].depth, move, shift, seen, through)
     few = through <= np.maximum(1.0, _CARVED * seen)
     planar = labels.planar & (count >= LEAST_AGREEING) & few
     depth = np.where(planar, labels.depth, np.where(labels.planar, 0.0, own.depth))
@@ -367,7 +367,7 @@ def labelled(
     agree(volume, view.grey, round(_CHANGE * COST), total)
     label = total.argmin(axis=-1)
     depths = np.stack([*(depth for _, depth, _ in shown), own.depth])
-    found = np.take_along_axis(depths, label[None], axis=0)[0]
+    label_depth = np.take_along_axis(depths, label[None], axis=0)[0]
     planar = label < len(shown)
     if view.mask is not None:
         planar &= view.mask
@@ -377,7 +377,7 @@ def labelled(
         normal = view.T_camera_world[:3, :3] @ plane.normal
         normals[label_of] = normal * (-1.0 if normal @ (row @ view.K) > 0.0 else 1.0)
     return Labels(
-        depth=np.where(planar, found, own.depth),
+        depth=np.where(planar, label_depth, own.depth),
         normal=np.where(planar[..., None], normals[label], own.normal),
         planar=planar,
     )
@@ -387,7 +387,7 @@ def _shown(
     own: DepthMap, others: Sequence[DepthMap], planes: Sequence[SupposedPlane], farthest: float
 ) -> list[tuple[SupposedPlane, F32, F64]]:
     """Return the planes that a view may show, their depths (H, W) and rows of homographies (3,)."""
-    found = []
+    shown = []
     for plane in planes:
         depth, row, in_front = _depth_on(own.view, plane)
         if plane.one_sided and not in_front:
@@ -396,8 +396,8 @@ def _shown(
         for other in others:
             support += _on(_depth_on(other.view, plane)[0], other)
         if support > _SUPPORT:
-            found.append((plane, np.where(depth <= farthest, depth, np.float32(0.0)), row))
-    return found
+            shown.append((plane, np.where(depth <= farthest, depth, np.float32(0.0)), row))
+    return shown
 
 
 def _depth_on(view: WorkingView, plane: SupposedPlane) -> tuple[F32, F64, bool]:
@@ -488,9 +488,9 @@ def _gain(own: DepthMap, other: DepthMap) -> F32:
     same = np.abs(other.depth[y, x] - z) < 2.0 * _ON * z
     if same.sum() < _LEAST_SHARED:
         return np.ones(3, np.float32)
-    here = own.view.rgb[rows[same], columns[same]].astype(np.float64) + 1.0
+    own_rgb = own.view.rgb[rows[same], columns[same]].astype(np.float64) + 1.0
     there = other.view.rgb[y[same], x[same]].astype(np.float64) + 1.0
-    return np.median(there / here, axis=0).astype(np.float32)
+    return np.median(there / own_rgb, axis=0).astype(np.float32)
 
 
 class PixelWindow:

@@ -96,11 +96,11 @@ def hypotheses(surface: ColourMesh, maps: Sequence[DepthMap], voxel: float) -> l
         voxel: edge of a voxel.
     """
     measured = Measured.of(maps)
-    found = [
+    surface_planes = [
         (*measured.fitted(normal, offset, voxel), squares)
         for normal, offset, squares in _of_surface(surface, voxel)
     ]
-    axes = _axes([normal for normal, _, _ in found])
+    axes = _axes([normal for normal, _, _ in surface_planes])
     planes = [
         SupposedPlane(
             normal=normal,
@@ -108,12 +108,12 @@ def hypotheses(surface: ColourMesh, maps: Sequence[DepthMap], voxel: float) -> l
             prior=_prior(squares) * (_SQUARE_SHARE if _is_square(normal, axes) else 1.0),
             one_sided=True,
         )
-        for normal, offset, squares in found
+        for normal, offset, squares in surface_planes
     ]
     if axes is None:
         return planes
     points = np.concatenate([_points_of_edges(each) for each in maps])
-    other = points[~_of_large(points, found, voxel)]
+    other = points[~_of_large(points, surface_planes, voxel)]
     known = [(plane.normal, plane.offset) for plane in planes]
     for axis in axes:
         for crowd in (*_crowds(other @ axis, voxel), *_crowds(points @ axis, voxel)):
@@ -197,7 +197,7 @@ def _middle(
 def _of_surface(surface: ColourMesh, voxel: float) -> list[tuple[F64, float, float]]:
     """Return normal, offset and area in squares of the planes of a surface."""
     search = PlaneSearch.of(surface, voxel)
-    free, found, misses = search.area > 0, [], 0
+    free, planes, misses = search.area > 0, [], 0
     rng = np.random.default_rng(0)
     for _ in range(_MOST):
         plane = search.best(free, rng)
@@ -213,16 +213,16 @@ def _of_surface(surface: ColourMesh, voxel: float) -> list[tuple[F64, float, flo
             continue
         off = np.abs(search.points @ normal - offset)
         free &= ~(near | ((off < _SHELL * voxel) & (search.normals @ normal > _FACING)))
-        found.append((normal, offset, squares))
-    return found
+        planes.append((normal, offset, squares))
+    return planes
 
 
 def _of_large(
-    points: F64, found: Sequence[tuple[F64, float, float]], voxel: float
+    points: F64, planes: Sequence[tuple[F64, float, float]], voxel: float
 ) -> NDArray[np.bool_]:
     """Return which points (N,) lie on a plane so large that what is drawn on it would crowd."""
     near = np.zeros(len(points), dtype=bool)
-    for normal, offset, squares in found:
+    for normal, offset, squares in planes:
         if squares >= _LARGE:
             near |= np.abs(points @ normal - offset) < _SAME * voxel
     return near
@@ -290,12 +290,12 @@ def _crowds(places: F64, voxel: float) -> list[float]:
     peak[:2] = peak[-2:] = False
     order = np.flatnonzero(peak)
     order = order[np.argsort(-(smooth - 2.5 * usual)[order], kind="stable")][:_ALONG]
-    found = []
+    crowds = []
     for i in order:
         weights = count[i - 2 : i + 3] + 1e-9
         middles = cells[i - 2 : i + 3] + 0.25 * voxel
-        found.append(float((middles * weights).sum() / weights.sum()))
-    return found
+        crowds.append(float((middles * weights).sum() / weights.sum()))
+    return crowds
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -351,9 +351,9 @@ class PlaneSearch:
         for seed in rng.choice(len(points), _TRIES, p=weight):
             normal, offset = _grown(points, normals, weight, int(seed), self.voxel)
             near = np.abs(points @ normal - offset) < BAND * self.voxel
-            found = float(weight[near & (normals @ normal > COSINE)].sum())
-            if found > most:
-                best, most = (normal, offset), found
+            support = float(weight[near & (normals @ normal > COSINE)].sum())
+            if support > most:
+                best, most = (normal, offset), support
         return best
 
 

@@ -203,16 +203,16 @@ def maps_of(
     """
     kinds = np.full(len(mesh.faces), FACE_KINDS.index("ground"), np.uint8)
     rays = RayScene(TriangleMesh(vertices=mesh.vertices, faces=mesh.faces, kinds=kinds))
-    found: list[DepthMap] = []
+    maps: list[DepthMap] = []
     for shot in capture.shots:
         view = read_view(shot, folder, side)
         depth = _depth(view, rays)
         if view.mask is not None:
             depth = np.where(view.mask, depth, np.float32(0.0))
         sure, normal = (depth > 0).astype(np.float32), normals_of(depth, view)
-        found.append(DepthMap(view=view, depth=depth, confidence=sure, normal=normal))
-        say(f"depth of {view.name}: {len(found)} of {len(capture.shots)}")
-    return found
+        maps.append(DepthMap(view=view, depth=depth, confidence=sure, normal=normal))
+        say(f"depth of {view.name}: {len(maps)} of {len(capture.shots)}")
+    return maps
 
 
 def _depth(view: WorkingView, rays: RayScene) -> F32:
@@ -318,18 +318,18 @@ class ReconstructReport:
         flat = sum(plane.area * plane.moved for plane in self.planes)
         parts, voxel = self.parts, f"{self.engine}, voxel {self.voxel:.4g}"
         known = f"depth known for {self.coverage:.0%} of their pixels"
-        found = [
+        lines = [
             f"{self.shots} shots, {known} at a mean confidence of {self.confidence:.2f}",
             f"{self.faces} faces of {self.faces_before} ({voxel}), area {self.area:.4g}",
             f"{parts.kept} parts kept, {parts.dropped} with {parts.dropped_area:.1%} dropped",
             f"{len(self.planes)} planes made flat, an area of {flat:.4g}",
         ]
         if self.without_depth:
-            found.append(f"no depth is known of {', '.join(self.without_depth)}")
+            lines.append(f"no depth is known of {', '.join(self.without_depth)}")
         for hole in self.holes[1:6]:
             location = ", ".join(f"{v:.3g}" for v in hole.centre)
-            found.append(f"a hole of {hole.across:.3g} across at ({location})")
-        return found
+            lines.append(f"a hole of {hole.across:.3g} across at ({location})")
+        return lines
 
 
 def write_report(report: ReconstructReport, path: Path) -> None:

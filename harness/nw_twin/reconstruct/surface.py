@@ -195,18 +195,19 @@ def surface(
         SceneError: no depth is known, there are too many samples, or no surface comes of them.
         PrerequisiteError: Open3D or SciPy is not installed.
     """
-    found = samples(maps, voxel)
-    if len(found.points) > most:
+    sampled = samples(maps, voxel)
+    if len(sampled.points) > most:
         raise SceneError(
-            f"the surface takes {len(found.points)} points, {most} are allowed",
+            f"the surface takes {len(sampled.points)} points, {most} are allowed",
             fix=f"give a larger voxel than {voxel:.4g}, or more points",
         )
     say(
-        f"joins {len(maps)} depth maps in {len(found.points)} points of {found.finest:.3g} and more"
+        f"joins {len(maps)} depth maps in {len(sampled.points)} points of {sampled.finest:.3g} "
+        "and more"
     )
-    if len(found.points) >= _LEAST_SAMPLES:
-        whole, normals = _poisson(found)
-        kept = whole.keep(_supported(whole, normals, found, maps)) if len(whole.faces) else whole
+    if len(sampled.points) >= _LEAST_SAMPLES:
+        whole, normals = _poisson(sampled)
+        kept = whole.keep(_supported(whole, normals, sampled, maps)) if len(whole.faces) else whole
         if len(kept.faces):
             return kept
     raise SceneError("the depth maps have no surface in common", fix="take more photographs")
@@ -345,15 +346,15 @@ def _open(views: F64, through: F64, on: F64) -> Flags:
     return through > np.maximum(on, views / 8.0)
 
 
-def _poisson(found: Samples) -> tuple[ColourMesh, F64]:
+def _poisson(sampled: Samples) -> tuple[ColourMesh, F64]:
     """Return the surface through all samples, closed but where its box ends, and its normals."""
     o3d = package("open3d")
     as_vectors = o3d.utility.Vector3dVector
-    cloud = o3d.geometry.PointCloud(as_vectors(found.points))
-    cloud.normals = as_vectors(found.normals)
-    cloud.colors = as_vectors(found.colours / 255.0)
-    extent = max(float(np.ptp(found.points, axis=0).max()) * 1.1, found.finest)
-    depth = min(max(int(np.ceil(np.log2(extent / found.finest))), 1), _DEEPEST)
+    cloud = o3d.geometry.PointCloud(as_vectors(sampled.points))
+    cloud.normals = as_vectors(sampled.normals)
+    cloud.colors = as_vectors(sampled.colours / 255.0)
+    extent = max(float(np.ptp(sampled.points, axis=0).max()) * 1.1, sampled.finest)
+    depth = min(max(int(np.ceil(np.log2(extent / sampled.finest))), 1), _DEEPEST)
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
             cloud, depth=depth, scale=1.1, linear_fit=True, n_threads=1
@@ -367,14 +368,16 @@ def _poisson(found: Samples) -> tuple[ColourMesh, F64]:
     return whole, np.asarray(mesh.vertex_normals).astype(np.float64)
 
 
-def _supported(whole: ColourMesh, normals: F64, found: Samples, maps: Sequence[DepthMap]) -> Flags:
+def _supported(
+    whole: ColourMesh, normals: F64, sampled: Samples, maps: Sequence[DepthMap]
+) -> Flags:
     """Return the faces that samples lie near, or that close a hole of them."""
     faces, count = whole.faces, len(whole.vertices)
-    count_near = min(_NEAREST, len(found.points))
-    tree = package("scipy.spatial").cKDTree(found.points)
+    count_near = min(_NEAREST, len(sampled.points))
+    tree = package("scipy.spatial").cKDTree(sampled.points)
     off, nearest = tree.query(whole.vertices, range(1, count_near + 1))
-    off = off[:, 0] / found.cells[nearest[:, 0]]
-    about = found.normals[nearest].mean(axis=1)
+    off = off[:, 0] / sampled.cells[nearest[:, 0]]
+    about = sampled.normals[nearest].mean(axis=1)
     about /= np.maximum(np.linalg.norm(about, axis=1, keepdims=True), 1e-300)
     views, through, on = _looks(whole.vertices, normals, maps)
     open_ = _open(views, through, on)

@@ -75,9 +75,9 @@ def level_scene(
         for name, path in files.items():
             (staged / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(path, staged / name)
-        found = _levelled(open_place(staged), floor, flip, unit, trail, propose)
+        levelled = _levelled(open_place(staged), floor, flip, unit, trail, propose)
         write_ready_suite(staged / SUITE, load_folder(staged).name, ["."])
-    return checked_scan(replace(found, folder=out))
+    return checked_scan(replace(levelled, folder=out))
 
 
 def _levelled(

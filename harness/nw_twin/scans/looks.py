@@ -334,14 +334,14 @@ def _signed(row: Values) -> tuple[str, str]:
 
 def _turns() -> list[Values]:
     """Return the 24 turns by right angles, (4, 4); the first leaves everything as it is."""
-    found: list[Values] = []
+    turns: list[Values] = []
     for order in ((0, 1, 2), (1, 2, 0), (2, 0, 1), (0, 2, 1), (2, 1, 0), (1, 0, 2)):
         for signs in np.ndindex(2, 2, 2):
             T = np.eye(4)
             T[:3, :3] = np.eye(3)[list(order)] * (1.0 - 2.0 * np.array(signs))[:, None]
             if np.linalg.det(T[:3, :3]) > 0:
-                found.append(T)
-    return found
+                turns.append(T)
+    return turns
 
 
 _TURNS = _turns()

@@ -203,8 +203,8 @@ def checked_scan(written: WrittenScan, robot: str = "go1") -> WrittenScan:
     fault = written.fault
     if fault is None and errors:
         fault = f"{errors[0].message}; {errors[0].fix or 'see above'}"
-    found = (f"check: {one}" for one in (*measured, *checked.findings))
-    return replace(written, lines=(*written.lines, *found), fault=fault)
+    findings = (f"check: {one}" for one in (*measured, *checked.findings))
+    return replace(written, lines=(*written.lines, *findings), fault=fault)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -252,21 +252,21 @@ def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
     lines: list[str] = []
     fault = None
     if suffix in ELEVATION_SUFFIXES:
-        found = read_elevation(
+        elevation = read_elevation(
             source,
             cell=options.cell,
             white=options.white,
             black=options.black,
             no_data=options.no_data,
         )
-        rows, columns = found.heights.shape
-        low, high = np.nanmin(found.heights), np.nanmax(found.heights)
+        rows, columns = elevation.heights.shape
+        low, high = np.nanmin(elevation.heights), np.nanmax(elevation.heights)
         lines.append(
-            f"elevation map: {columns} x {rows} pixels of {found.cell[0]:.3g} x "
-            f"{found.cell[1]:.3g} m, heights {low:.3f} to {high:.3f} m"
+            f"elevation map: {columns} x {rows} pixels of {elevation.cell[0]:.3g} x "
+            f"{elevation.cell[1]:.3g} m, heights {low:.3f} to {high:.3f} m"
         )
-        lines += found.findings
-        vertices, faces = elevation_mesh(found)
+        lines += elevation.findings
+        vertices, faces = elevation_mesh(elevation)
         if len(faces) == 0:
             raise SceneError(f"{source} has only holes", fix="check --no-data")
         painted = PaintedMesh(
@@ -431,11 +431,11 @@ def lay_course(
     if trail is not None:
         route, words = _given(mesh, trail, task or "open")
     else:
-        found = _proposed(mesh)
-        if found is None:
+        course = _proposed(mesh)
+        if course is None:
             fault = "no two metres of even ground, so the course is one waypoint a metre ahead"
             return _placeholder(mesh, task or "open"), [], f"{fault}: {_FLOOR}"
-        route, words = _straight(mesh, *found, task or "open")
+        route, words = _straight(mesh, *course, task or "open")
     tilt = _tilt(mesh, route)
     if tilt < _INCLINED:
         return route, [words], None

@@ -171,8 +171,8 @@ def scan_lines(written: WrittenScan) -> str:
         same = written.before == written.digest
         digest = "digest as before" if same else f"digest {written.before[:16]} -> {digest[7:]}"
     folder = shlex.quote(str(written.folder))
-    here = folder if folder.startswith(("/", ".", "'")) else f"./{folder}"
-    end = f"ready: nw-eval scenes check {here}"
+    path = folder if folder.startswith(("/", ".", "'")) else f"./{folder}"
+    end = f"ready: nw-eval scenes check {path}"
     if written.fault is not None:
-        end = f"not ready: {written.fault.replace('SCENE', here)}"
+        end = f"not ready: {written.fault.replace('SCENE', path)}"
     return "\n".join([*written.lines, digest, end])

@@ -55,16 +55,15 @@ def test_a_policy_that_fails_is_told_as_verdict_table_and_replay_command(suite, 
     done.assert_outcomes(failed=3)
     done.stdout.fnmatch_lines(
         [
-            "*_ tiny.yaml: flat/carpet_room _*",
+            "*_ suites/tiny.yaml: flat/carpet_room _*",
             "flat/carpet_room: below the bar 0.9 by itself; success 0.000, completed 0 of 4 trials",
-            "REGRESSED * completed 0 of 8 trials in 2 scenes * success 0.000 *",
-            "* success is at most *, the bar is 0.9",
             "Success by scene",
             f" {FLAT} *",
             "nw-eval replay out/tiny-*/mcap/flat/carpet_room/flat-carpet_room-00*.mcap",
             "report: out/tiny-*/report.md and report.html",
-            "*_ tiny.yaml: verdict _*",
-            "REGRESSED * success 0.000 *",
+            "*_ suites/tiny.yaml: verdict _*",
+            "REGRESSED * completed 0 of 8 trials in 2 scenes * success 0.000 *",
+            "* success is at most *, the bar is 0.9",
             f" {HURDLE} *",
             f"FAILED suites/tiny.yaml::{FLAT} - {FLAT}: below the bar*",
             "FAILED suites/tiny.yaml::verdict - REGRESSED*",
@@ -73,8 +72,9 @@ def test_a_policy_that_fails_is_told_as_verdict_table_and_replay_command(suite, 
     whole = done.stdout.str()
     assert "Traceback" not in whole
     assert ".py:" not in whole
-    first = whole[: whole.index("_ tiny.yaml: hurdles")]
+    first = whole[: whole.index("_ suites/tiny.yaml: hurdles")]
     assert f"\n {HURDLE} " not in first, "a scene's table is about that scene"
+    assert whole.count("completed 0 of 8 trials in 2 scenes") == 1, "the headline appears once"
 
 
 def test_junit_has_a_sentence_for_a_message_and_the_figures_as_properties(suite, run, pytester):
@@ -104,6 +104,7 @@ def test_scenes_that_convict_together_fail_where_the_verdict_is_no_test(suite, r
     done.assert_outcomes(failed=2, deselected=2)
     done.stdout.fnmatch_lines([f"FAILED tiny.yaml::{FLAT} - {FLAT}: not decided*"])
     done.stdout.fnmatch_lines([f"{FLAT}: not decided: success 0.000, completed 0 of 2 trials; *"])
+    done.stdout.fnmatch_lines(["REGRESSED * completed 0 of 4 trials in 2 of the suite's 3 scenes*"])
     (folder,) = folders()
     assert {row.scene for row in api.report(folder).rows} == {FLAT, HURDLE}
 

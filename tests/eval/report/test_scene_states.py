@@ -79,7 +79,8 @@ def against(regressed):
             )
             for scene, success in now.items()
         )  # fmt: skip
-        drop = 1.0 - sum(now.values()) / len(now)
+        scored = [success for success in now.values() if success is not None]
+        drop = 1.0 - sum(scored) / len(scored)
         return replace(
             regressed, word=word, trials=4, budget=40, mean_regressed=False, baseline=1.0,
             drop=drop, interval=Interval(0.0, 1.0), scenes=drops, reasons=("because",), curve=None,
@@ -114,6 +115,18 @@ def test_a_scene_that_the_gate_left_undecided_is_skipped_with_its_counts(results
             "not decided: success 1.000, completed 2 of 2 trials, baseline 1.000; run more trials",
         ),
     }
+
+
+@pytest.mark.parametrize("word", ["PASS", "REGRESSED"])
+def test_a_scene_without_a_trial_is_skipped_as_not_run(make_row, against, word):
+    comparison = against(word, {"bad": 0.0, "unrun": None})
+    rows = rows_of(make_row, bad=[0, 0])
+    verdict = combined(judge(rows, Gate(), {"bad": 2, "unrun": 0}, against=comparison), comparison)
+    (unrun,) = [each for each in scene_states(verdict) if each.scene == "unrun"]
+    assert (unrun.result, unrun.sentence) == (
+        "skipped",
+        "not run: the verdict was decided without it, baseline 1.000",
+    )
 
 
 def test_a_scene_that_fell_fails_unless_the_whole_verdict_is_pass(results):

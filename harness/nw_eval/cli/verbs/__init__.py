@@ -94,8 +94,8 @@ def begin(arguments: Sequence[str]) -> None:
 
 def resolve(verb: str, part: str | None = None) -> Any:
     """Return the class of a verb, or of a verb of its family."""
-    found = VERBS[verb] if part is None else VERBS[verb].parts[part]
-    return resolve_name(f"{found.module}:{found.form}")
+    verb_class = VERBS[verb] if part is None else VERBS[verb].parts[part]
+    return resolve_name(f"{verb_class.module}:{verb_class.form}")
 
 
 def forms() -> Iterator[tuple[str, Any]]:
@@ -175,9 +175,9 @@ def _under_new_names(name: str, form: Any, arguments: Sequence[str]) -> list[str
     renamed, given = RENAMED_FLAGS.get(name, {}), list(arguments)
     for place, word in enumerate(given):
         flag, equals, value = word.partition("=")
-        if (now := renamed.get(flag.replace("_", "-"))) is not None:
-            _notice(flag, now)
-            given[place] = f"{now}{equals}{value}"
+        if (new_flag := renamed.get(flag.replace("_", "-"))) is not None:
+            _notice(flag, new_flag)
+            given[place] = f"{new_flag}{equals}{value}"
     if name in OUT_WAS_POSITIONAL and "--out" not in {word.partition("=")[0] for word in given}:
         from nw_eval.cli.verbs.help import options_of
 
@@ -193,8 +193,8 @@ def _under_new_names(name: str, form: Any, arguments: Sequence[str]) -> list[str
     return given
 
 
-def _notice(then: str, now: str) -> None:
-    tell(f"notice: {then} is {now} now; the next release takes only that")
+def _notice(old: str, new: str) -> None:
+    tell(f"notice: {old} is {new} now; the next release takes only that")
 
 
 def _unknown(what: str, word: str, known: Sequence[str] | Any, command: str) -> UsageError:

@@ -64,7 +64,7 @@ class Attribute:
         from nw_eval.reporting.tables.cause import answer_words, cause_table
 
         with RunProgress() as progress:
-            found = api.find_cause(
+            cause = api.find_cause(
                 self.run,
                 baseline=self.baseline,
                 policy=self.policy,
@@ -75,11 +75,11 @@ class Attribute:
                 out=self.out,
                 listener=progress,
             )
-        table = cause_table(found.cause)
+        table = cause_table(cause.cause)
         print("\n".join(aligned([table.columns, *table.rows], right={2, 3, 4})))
-        print(answer_words(found.cause))
+        print(answer_words(cause.cause))
         page = api.report(self.run).page
-        print(f"{found.out / 'cause.md'}; in the run's report, too: {page}")
+        print(f"{cause.out / 'cause.md'}; in the run's report, too: {page}")
         return 0
 
     def _since_when(self) -> int:
@@ -290,9 +290,9 @@ def _spells(report: AttributionReport) -> str:
     has_completed = first.completes
     for before, after in pairwise([first, *later]):
         if before.completes != after.completes:
-            again = " again" if after.completes and has_completed else ""
+            suffix = " again" if after.completes and has_completed else ""
             verb = "completes" if after.completes else "fails"
-            words.append(f"{verb}{again} from {_seconds(after.step, report)} s")
+            words.append(f"{verb}{suffix} from {_seconds(after.step, report)} s")
         has_completed = has_completed or after.completes
     return ", ".join(words)
 

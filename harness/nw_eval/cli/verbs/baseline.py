@@ -53,27 +53,27 @@ class Save(Verb):
 
     run: Path | None
 
-    def show(self, found: SavedBaseline) -> str:
-        return saved_page(found)
+    def show(self, result: SavedBaseline) -> str:
+        return saved_page(result)
 
-    def code(self, found: SavedBaseline) -> int:
-        return IncomparableError.exit_code if found.action == "kept" else 0
+    def code(self, result: SavedBaseline) -> int:
+        return IncomparableError.exit_code if result.action == "kept" else 0
 
 
 @verb_of("list_baselines")
 class List(Printed, Verb):
     """List the project's baselines and the shipped ones."""
 
-    def show(self, found: Sequence[ListedBaseline]) -> str:
-        return baseline_table(found)
+    def show(self, result: Sequence[ListedBaseline]) -> str:
+        return baseline_table(result)
 
 
 @verb_of("show_baseline")
 class Show(Printed, Verb):
     """Show what a baseline was saved for, by whom and why, and its results by scene."""
 
-    def show(self, found: ShownBaseline) -> str:
-        return baseline_page(found)
+    def show(self, result: ShownBaseline) -> str:
+        return baseline_page(result)
 
 
 @verb_of("check_baseline", changes=("checkpoint", "render", "allow_code"))
@@ -83,8 +83,8 @@ class Check(Printed, Verb):
     Exit code 5 if it is not. Also shows whether it has results for this machine type.
     """
 
-    def show(self, found: CheckedBaseline) -> str:
-        return checked_page(found)
+    def show(self, result: CheckedBaseline) -> str:
+        return checked_page(result)
 
 
 @verb_of(
@@ -102,16 +102,16 @@ class Verify(Printed, Verb):
 
     goes_on = "interrupted; not all of the trials that were drawn have run"
 
-    def show(self, found: VerifiedBaseline) -> str:
-        return verified_page(found)
+    def show(self, result: VerifiedBaseline) -> str:
+        return verified_page(result)
 
 
 @verb_of("diff_baselines")
 class Diff(Printed, Verb):
     """Compare two baselines: settings, means by scene, and trials that ended differently."""
 
-    def show(self, found: BaselineChange) -> str:
-        return change_page(found)
+    def show(self, result: BaselineChange) -> str:
+        return change_page(result)
 
 
 _NOTE = 60  # characters of a note in a table
@@ -306,8 +306,8 @@ _HEADING = (
 def _scene(change: SceneChange) -> tuple[str, ...]:
     words = stratum_words((change.scene, change.perturbation))
     if change.then is None or change.now is None:
-        then, now = (_number(value) for value in (change.then, change.now))
-        return words, then, now, "", "", ""
+        before, after = (_number(value) for value in (change.then, change.now))
+        return words, before, after, "", "", ""
     return (
         words,
         _number(change.then),
@@ -321,8 +321,8 @@ def _scene(change: SceneChange) -> tuple[str, ...]:
 def _mean(change: BaselineChange) -> tuple[str, ...]:
     from nw_gate.results.baseline import baseline_mean
 
-    then, now = baseline_mean(change.then), baseline_mean(change.now)
-    return "mean", _number(then), _number(now), f"{now - then:+.3f}", "", ""
+    before, after = baseline_mean(change.then), baseline_mean(change.now)
+    return "mean", _number(before), _number(after), f"{after - before:+.3f}", "", ""
 
 
 def _number(value: float | None) -> str:

@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 class ShowCache(Printed, Verb):
     """Show where the trial cache is, how full it is, and whose results it has."""
 
-    def show(self, found: CacheUse) -> str:
-        return cache_page(found)
+    def show(self, result: CacheUse) -> str:
+        return cache_page(result)
 
 
 @verb_of("prune_cache", flags=("limit_gb",), named={"limit_gb": "limit"})
 class PruneCache(Verb):
     """Remove the least recently used trials until the cache fits a size."""
 
-    def show(self, found: CacheCleanup) -> str:
-        return removed_line(found)
+    def show(self, result: CacheCleanup) -> str:
+        return removed_line(result)
 
 
 @verb_of("verify_cache")
@@ -39,11 +39,11 @@ class VerifyCache(Verb):
     re-run: each run re-runs 2 % of the trials that it reuses.
     """
 
-    def show(self, found: CacheCleanup) -> str:
-        return verified_line(found)
+    def show(self, result: CacheCleanup) -> str:
+        return verified_line(result)
 
-    def code(self, found: CacheCleanup) -> int:
-        return StoreError.exit_code if found.removed else 0
+    def code(self, result: CacheCleanup) -> int:
+        return StoreError.exit_code if result.removed else 0
 
 
 _SHOWN = 20

@@ -39,7 +39,7 @@ class Check(Options):
 def forecast_json(forecast: Forecast) -> str:
     """Return what a run would be as JSON."""
     suite, bundle = forecast.suite, forecast.policy
-    found = {
+    fields = {
         "suite": suite.name,
         "file": suite.source.file,
         "suite_digest": suite.content_digest,
@@ -68,7 +68,7 @@ def forecast_json(forecast: Forecast) -> str:
         "workers": forecast.workers,
         "minutes": forecast.minutes,
     }
-    return json_text(found)
+    return json_text(fields)
 
 
 def forecast_page(forecast: Forecast) -> str:

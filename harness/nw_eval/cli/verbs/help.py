@@ -47,7 +47,7 @@ def options_of(form: type) -> tuple[Option, ...]:
     import tyro
 
     hints, told = get_type_hints(form, include_extras=True), told_of(form)
-    found: list[Option] = []
+    options: list[Option] = []
     for field in fields(form):
         kind, marks = _plain(hints[field.name])
         conf = next((mark for mark in marks if hasattr(mark, "metavar")), None)
@@ -63,8 +63,8 @@ def options_of(form: type) -> tuple[Option, ...]:
         if tyro.conf.UseAppendAction in marks:
             words += " Repeatable."
         choices = tuple(map(str, get_args(kind))) if get_origin(kind) is Literal else ()
-        found.append(Option(field.name, flags, metavar, choices, words.strip(), is_required))
-    return tuple(found)
+        options.append(Option(field.name, flags, metavar, choices, words.strip(), is_required))
+    return tuple(options)
 
 
 def _plain(hint: Any) -> tuple[Any, tuple[Any, ...]]:

@@ -22,8 +22,8 @@ class Ledger(Printed, Verb):
 
     file: Path
 
-    def show(self, found: LedgerReport) -> str:
-        return ledger_page(found)
+    def show(self, result: LedgerReport) -> str:
+        return ledger_page(result)
 
 
 _LISTED = 10  # candidates, or seed sets, that have a line of their own
@@ -44,8 +44,8 @@ def _lines(report: LedgerReport) -> Iterator[str]:
     yield f"{plural(report.entries, 'verdict')} ({words})"
     yield f"from {report.since:%Y-%m-%d} to {report.until:%Y-%m-%d}: {_rate(report)}"
     if report.judged_again:
-        again = plural(report.judged_again, "verdict")
-        yield f"{again} on trials that had been judged by the same rules before: no new test"
+        repeats = plural(report.judged_again, "verdict")
+        yield f"{repeats} on trials that had been judged by the same rules before: no new test"
     yield from _wrong(report)
     yield from _again(report)
     yield from _best(report)

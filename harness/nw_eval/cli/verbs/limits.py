@@ -63,7 +63,7 @@ class Limits:
         from nw_eval.cli.terminal.progress import RunProgress
 
         with RunProgress() as progress:
-            found = api.limits(
+            result = api.limits(
                 self.ladders,
                 policy=self.policy,
                 baseline=self.baseline,
@@ -80,11 +80,11 @@ class Limits:
                 cache=not self.no_cache,
                 listener=progress,
             )
-        print(limits_json(found) if self.json else limits_text(found))
-        if found.interrupted:
+        print(limits_json(result) if self.json else limits_text(result))
+        if result.interrupted:
             tell(f"interrupted; {self._again()}")
             return INTERRUPTED
-        if errors := sum(each.errors for each in found.limits):
+        if errors := sum(each.errors for each in result.limits):
             tell(f"{plural(errors, 'trial')} ended in errors; {self._again()}")
             return 4
         return 0
@@ -96,20 +96,20 @@ class Limits:
         return f"give the same command{another} again{reuses}"
 
 
-def limits_json(found: FoundLimits) -> str:
+def limits_json(result: FoundLimits) -> str:
     """Return limits as JSON."""
     from nw_eval.api.climbing import limits_dict
 
-    return json.dumps(limits_dict(found), indent=1)
+    return json.dumps(limits_dict(result), indent=1)
 
 
-def limits_text(found: FoundLimits) -> str:
+def limits_text(result: FoundLimits) -> str:
     """Return the table of limits, a sentence for each, and where the files are."""
     from nw_eval.reporting.html.limits import limits_table, limits_words
 
-    table = limits_table(found.limits)
+    table = limits_table(result.limits)
     right = [place for place, name in enumerate(table.columns) if name in table.numbers]
     parts = ["\n".join(aligned([table.columns, *table.rows], right=right))]
-    parts.append("\n".join(limits_words(found.limits)))
-    parts.append("\n".join(str(found.out / f"limits.{end}") for end in ("html", "md", "json")))
+    parts.append("\n".join(limits_words(result.limits)))
+    parts.append("\n".join(str(result.out / f"limits.{end}") for end in ("html", "md", "json")))
     return "\n\n".join(parts)

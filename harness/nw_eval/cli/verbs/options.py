@@ -114,8 +114,8 @@ class Publishing:
         for name, given in (("--no-github", self.no_github), ("--json", self.json)):
             if self.github and given:
                 raise UsageError(f"--github and {name} exclude each other", fix="drop one of them")
-        here = os.environ.get("GITHUB_ACTIONS") == "true"
-        return self.github or (here and not self.no_github and not self.json)
+        is_github = os.environ.get("GITHUB_ACTIONS") == "true"
+        return self.github or (is_github and not self.no_github and not self.json)
 
     def printed(self, judged: RunReport, code: int) -> str:
         """Return what is printed of a judged run: the tables and the verdict, or JSON."""

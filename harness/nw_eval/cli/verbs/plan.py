@@ -148,7 +148,7 @@ def trial_plan_json(planned: TrialPlan) -> str:
 
     outset = planned.outset
     margins = outset.rules.margins
-    found = {
+    fields = {
         "suite": planned.suite,
         "source": planned.source,
         "success": outset.baseline,
@@ -173,7 +173,7 @@ def trial_plan_json(planned: TrialPlan) -> str:
         ],
         "scores": planned.scores,
     }
-    return json_text(found)
+    return json_text(fields)
 
 
 def trial_plan_page(planned: TrialPlan) -> str:
@@ -198,9 +198,9 @@ def trial_plan_page(planned: TrialPlan) -> str:
     return "\n".join(lines)
 
 
-def _score_lines(found: ScoreForecast) -> list[str]:
+def _score_lines(forecast: ScoreForecast) -> list[str]:
     """Return what the gate makes of a score, a line for each change."""
-    spec = found.spec
+    spec = forecast.spec
     unit = f" {spec.unit}" if spec.unit else ""
     rows = [("worse by", "PASS", "REGRESSED", "undecided")]
     rows += [
@@ -208,15 +208,15 @@ def _score_lines(found: ScoreForecast) -> list[str]:
             f"{change:.4g}{unit}",
             *(f"{100 * share:.0f} %" for share in (passed, regressed, 1.0 - passed - regressed)),
         )
-        for change, passed, regressed in found.points
+        for change, passed, regressed in forecast.points
     ]
-    margins = f"max_drop {found.max_drop:g}, tolerate {found.tolerate:g}"
-    error = f"{100 * 0.5 / found.gates**0.5:.1f} %"
+    margins = f"max_drop {forecast.max_drop:g}, tolerate {forecast.tolerate:g}"
+    error = f"{100 * 0.5 / forecast.gates**0.5:.1f} %"
     return [
         "",
-        f"{spec.name}: {found.level:.4g}{unit}; {margins}; {plural(found.trials, 'trial')}",
+        f"{spec.name}: {forecast.level:.4g}{unit}; {margins}; {plural(forecast.trials, 'trial')}",
         *aligned(rows, right=range(len(rows[0]))),
-        f"Simulated, {found.gates} gates at each change: the standard error is at most {error}.",
+        f"Simulated, {forecast.gates} gates at each change: the standard error is at most {error}.",
     ]
 
 
@@ -226,27 +226,27 @@ def _baseline(outset: Outset) -> str:
 
 
 def _detection(planned: TrialPlan) -> str:
-    found = _within(
+    sentence = _within(
         planned, planned.dropped.regressed, f"a policy {planned.detect:g} worse is REGRESSED"
     )
     margins = planned.outset.rules.margins
     rare = planned.dropped.regressed[-1] < _CHANCES[-1]
     if rare and margins.tolerate < planned.detect < margins.max_drop:
-        return f"{found}: the drop is below max_drop, and may pass"
-    return found
+        return f"{sentence}: the drop is below max_drop, and may pass"
+    return sentence
 
 
 def _within(planned: TrialPlan, shares: Sequence[float], what: str) -> str:
     """Return after how many trials something is so in 80 and in 90 %."""
     from nw_gate.stats.baseline.curve import trials_for
 
-    found = [(chance, trials_for(shares, chance)) for chance in _CHANCES]
+    counts = [(chance, trials_for(shares, chance)) for chance in _CHANCES]
     parts = [
         f"in {100 * chance:.0f} % within {_trials(planned, trials)}"
-        for chance, trials in found
+        for chance, trials in counts
         if trials is not None
     ]
-    if len(parts) < len(found):
+    if len(parts) < len(counts):
         most = f"{100 * shares[-1]:.0f} %"
         parts.append(f"at most in {most}, even with all initial states")
     return f"{what} {', '.join(parts)}"

@@ -31,16 +31,16 @@ if TYPE_CHECKING:
 class List(Printed, Verb):
     """List the available policies."""
 
-    def show(self, found: Sequence[ListedPolicy]) -> str:
-        return policy_table(found)
+    def show(self, result: Sequence[ListedPolicy]) -> str:
+        return policy_table(result)
 
 
 @verb_of("show_policy", changes=("checkpoint", "allow_code"))
 class Show(Printed, Verb):
     """Show a card: all terms, joints, settings that are not defaults, and the checkpoint."""
 
-    def show(self, found: CardSummary) -> str:
-        return card_page(found)
+    def show(self, result: CardSummary) -> str:
+        return card_page(result)
 
 
 @verb_of("check_policy", changes=("checkpoint", "allow_code"))
@@ -52,11 +52,11 @@ class Check(Printed, Verb):
     each fault and what the card should say (exit code 2).
     """
 
-    def show(self, found: ProbeReport) -> str:
-        return probe_page(found)
+    def show(self, result: ProbeReport) -> str:
+        return probe_page(result)
 
-    def code(self, found: ProbeReport) -> int:
-        return 0 if found.passed else UsageError.exit_code
+    def code(self, result: ProbeReport) -> int:
+        return 0 if result.passed else UsageError.exit_code
 
 
 @verb_of("init_policy")
@@ -70,16 +70,16 @@ class Init(Verb):
     --out is a file; that of `robots init` is a folder.
     """
 
-    def show(self, found: CardDraft) -> str:
-        return f"{found.text}\n{found.file}: {plural(found.to_check, 'line')} to check"
+    def show(self, result: CardDraft) -> str:
+        return f"{result.text}\n{result.file}: {plural(result.to_check, 'line')} to check"
 
 
 @verb_of("fold_policy")
 class Fold(Verb):
     """Write a checkpoint of several files as one file, without running it."""
 
-    def show(self, found: FoldedGraph) -> str:
-        return f"{found.file}: {found.bytes / 1e6:.2f} MB in one file"
+    def show(self, result: FoldedGraph) -> str:
+        return f"{result.file}: {result.bytes / 1e6:.2f} MB in one file"
 
 
 @verb_of("serve_policy", changes=("checkpoint", "allow_code"), without=("confined",))
@@ -106,8 +106,8 @@ class FetchPolicy(Verb):
     extra `hub`.
     """
 
-    def show(self, found: Fetched) -> str:
-        return fetched_lines(found)
+    def show(self, result: Fetched) -> str:
+        return fetched_lines(result)
 
 
 def policy_table(policies: Sequence[ListedPolicy]) -> str:

@@ -41,7 +41,7 @@ def judged_json(judged: RunReport, code: int) -> str:
         code: exit code of the process.
     """
     verdict = judged.verdict
-    found = {
+    fields = {
         "verdict": verdict.verdict,
         "exit_code": code,
         "suite": str(judged.info.suite.get("name", "")),
@@ -76,7 +76,7 @@ def judged_json(judged: RunReport, code: int) -> str:
         "report": judged.typed_page,
         "html": judged.typed_html,
     }
-    return json_text(found)
+    return json_text(fields)
 
 
 def _bound(limit: Limit | None, which: Literal["lower", "upper"]) -> float | None:
@@ -92,8 +92,8 @@ def _plain(value: Any) -> Any:
         return value
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if (found := _fields(value)) is not None:
-        return {_NAMES.get(str(key), str(key)): _plain(each) for key, each in found.items()}
+    if (fields := _fields(value)) is not None:
+        return {_NAMES.get(str(key), str(key)): _plain(each) for key, each in fields.items()}
     if hasattr(value, "tolist"):  # An array, or a number of numpy's.
         return _plain(value.tolist())
     if isinstance(value, (list, tuple)):

@@ -182,12 +182,12 @@ def _short(difference: Difference, value: str) -> str:
 
 def takeover_page(taken: TakeoverReport) -> str:
     """Return how a trial ended under its own policy, and how it does under the other one."""
-    was, now = taken.was, taken.now
+    was, after = taken.was, taken.now
     head = (
-        f"{taken.trial}: {now.policy} takes over from {was.policy} at "
+        f"{taken.trial}: {after.policy} takes over from {was.policy} at "
         f"{_seconds(taken.step, was.control_rate):.2f} s"
     )
-    lines = [clean(head), f"  was  {_taken_end(was)}", f"  now  {_taken_end(now)}"]
+    lines = [clean(head), f"  was  {_taken_end(was)}", f"  now  {_taken_end(after)}"]
     if taken.is_identical:
         lines.append("  the same, bit for bit")
     return "\n".join(lines)

@@ -80,14 +80,14 @@ class Report(Publishing):
                 fix="drop them",
             )
         title = self.title or "Leaderboard"
-        found = api.write_site(self.runs, folder, title=title, pictures=self.pictures)
-        _tell_skipped(found.skipped)
-        for sentence in found.left_out:
+        written = api.write_site(self.runs, folder, title=title, pictures=self.pictures)
+        _tell_skipped(written.skipped)
+        for sentence in written.left_out:
             tell(f"warning: left out: {sentence}")
-        print(f"leaderboard of {plural(found.runs, 'run')}: {found.page}")
+        print(f"leaderboard of {plural(written.runs, 'run')}: {written.page}")
         if self.open:
-            show(found.page)
-        return found.exit_code
+            show(written.page)
+        return written.exit_code
 
     def _index(self) -> int:
         from nw_base.errors import UsageError
@@ -100,14 +100,14 @@ class Report(Publishing):
                 "--junit, --github, --comment, --track and --reporter are of one run",
                 fix="name one, or drop them",
             )
-        found = api.index_runs(self.runs, out=self.out, title=self.title, pictures=self.pictures)
-        _tell_skipped(found.skipped)
-        for sentence in found.unread:
+        written = api.index_runs(self.runs, out=self.out, title=self.title, pictures=self.pictures)
+        _tell_skipped(written.skipped)
+        for sentence in written.unread:
             tell(f"warning: not read: {sentence}")
-        print(f"index of {plural(len(found.runs), 'run')}: {found.typed_page}")
+        print(f"index of {plural(len(written.runs), 'run')}: {written.typed_page}")
         if self.open:
-            show(found.page)
-        return found.exit_code
+            show(written.page)
+        return written.exit_code
 
 
 def _tell_skipped(paths: Sequence[Path]) -> None:

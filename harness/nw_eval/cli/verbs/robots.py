@@ -26,16 +26,16 @@ FALLS = 1
 class List(Printed, Verb):
     """List the available robots: built in, in ./robots, and of plugins."""
 
-    def show(self, found: Sequence[ListedRobot]) -> str:
-        return robot_table(found)
+    def show(self, result: Sequence[ListedRobot]) -> str:
+        return robot_table(result)
 
 
 @verb_of("show_robot")
 class Show(Printed, Verb):
     """Show a robot: joints, motors, feet, camera, mass, and which line defines each."""
 
-    def show(self, found: RobotSummary) -> str:
-        return robot_page(found)
+    def show(self, result: RobotSummary) -> str:
+        return robot_page(result)
 
 
 @verb_of("init_robot")
@@ -47,9 +47,9 @@ class Init(Verb):
     file.
     """
 
-    def show(self, found: RobotDraft) -> str:
-        ending = "it stands" if found.stands else "it does not stand"
-        return f"{found.text}\n{found.file}: {plural(found.to_check, 'line')} to check; {ending}"
+    def show(self, result: RobotDraft) -> str:
+        ending = "it stands" if result.stands else "it does not stand"
+        return f"{result.text}\n{result.file}: {plural(result.to_check, 'line')} to check; {ending}"
 
 
 @verb_of("check_robot")
@@ -62,11 +62,11 @@ class Check(Printed, Verb):
 
     out = Path("robot.png")
 
-    def show(self, found: CheckedRobot) -> str:
-        return f"{check_page(found)}\n{self.out}"
+    def show(self, result: CheckedRobot) -> str:
+        return f"{check_page(result)}\n{self.out}"
 
-    def code(self, found: CheckedRobot) -> int:
-        return 0 if found.stands else FALLS
+    def code(self, result: CheckedRobot) -> int:
+        return 0 if result.stands else FALLS
 
 
 @verb_of("fetch_robot", named={"reference": "robot"})
@@ -77,8 +77,8 @@ class Fetch(Verb):
     `hub`, Menagerie robots the extra `robots`.
     """
 
-    def show(self, found: Fetched) -> str:
-        return fetched_lines(found)
+    def show(self, result: Fetched) -> str:
+        return fetched_lines(result)
 
 
 def robot_table(robots: Sequence[ListedRobot]) -> str:

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 class List(Printed, Verb):
     """List scenes with their waypoints, split (`split:eval` selects one) and obstacles."""
 
-    def show(self, found: Sequence[ListedScene]) -> str:
-        return scene_table(found)
+    def show(self, result: Sequence[ListedScene]) -> str:
+        return scene_table(result)
 
 
 @verb_of("ladders", named={"names": "ladders"})
@@ -39,8 +39,8 @@ class Ladders(Printed, Verb):
 
     ladders: tuple[str, ...]
 
-    def show(self, found: Sequence[Ladder]) -> str:
-        return rungs_table(found) if self.ladders else ladder_table(found)
+    def show(self, result: Sequence[Ladder]) -> str:
+        return rungs_table(result) if self.ladders else ladder_table(result)
 
 
 @verb_of("show_scene", named={"reference": "scene"})
@@ -49,8 +49,8 @@ class Show(Printed, Verb):
 
     out: Path | None
 
-    def show(self, found: SceneFigures) -> str:
-        return scene_page(found) if self.out is None else f"{scene_page(found)}\n{self.out}"
+    def show(self, result: SceneFigures) -> str:
+        return scene_page(result) if self.out is None else f"{scene_page(result)}\n{self.out}"
 
 
 @verb_of("check_scenes", without=("policy",), named={"references": "scenes"})
@@ -68,13 +68,13 @@ class Check(Printed, Verb):
     def more(self) -> dict[str, Any]:
         return {"policy": self.policy}
 
-    def show(self, found: Sequence[CheckedScene]) -> str:
-        if self.out is None or self.code(found):
-            return findings_text(found)
-        return f"{findings_text(found)}\nready: nw-eval run {shlex.quote(str(self.out))}"
+    def show(self, result: Sequence[CheckedScene]) -> str:
+        if self.out is None or self.code(result):
+            return findings_text(result)
+        return f"{findings_text(result)}\nready: nw-eval run {shlex.quote(str(self.out))}"
 
-    def code(self, found: Sequence[CheckedScene]) -> int:
-        return SceneError.exit_code if any(scene.has_errors for scene in found) else 0
+    def code(self, result: Sequence[CheckedScene]) -> int:
+        return SceneError.exit_code if any(scene.has_errors for scene in result) else 0
 
 
 @verb_of("render_scenes", listens=True)
@@ -121,8 +121,8 @@ class PushScene(Verb):
     (`scenes check`) is not uploaded.
     """
 
-    def show(self, found: PushedScene) -> str:
-        return pushed_line(found)
+    def show(self, result: PushedScene) -> str:
+        return pushed_line(result)
 
 
 def scene_table(scenes: Sequence[ListedScene]) -> str:

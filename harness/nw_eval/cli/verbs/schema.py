@@ -18,5 +18,5 @@ class Schema(Verb):
     out: Path | None
     """The file to write (default: standard output)."""
 
-    def show(self, found: Mapping[str, Any]) -> str:
-        return json.dumps(found, indent=2) if self.out is None else ""
+    def show(self, result: Mapping[str, Any]) -> str:
+        return json.dumps(result, indent=2) if self.out is None else ""

@@ -26,63 +26,63 @@ class Scores(Verb):
     json: bool = False
     """Print JSON."""
 
-    def show(self, found: LogScores) -> str:
-        return scores_text(found)
+    def show(self, result: LogScores) -> str:
+        return scores_text(result)
 
-    def shown_json(self, found: LogScores) -> str:
-        return scores_json(found)
+    def shown_json(self, result: LogScores) -> str:
+        return scores_json(result)
 
 
-def scores_json(found: LogScores) -> str:
+def scores_json(scores: LogScores) -> str:
     """Return the scores as a JSON object."""
     whole = {
-        "log": str(found.log),
-        "seconds": found.seconds,
+        "log": str(scores.log),
+        "seconds": scores.seconds,
         "scores": {
-            name: {"value": value, "unit": found.specs[name].unit}
-            for name, value in found.values.items()
+            name: {"value": value, "unit": scores.specs[name].unit}
+            for name, value in scores.values.items()
         },
-        "limit_passed_at": dict(found.moments),
-        "missing": dict(found.missing),
-        "topics": dict(found.topics),
-        "unused_topics": dict(found.unused),
-        "fields": {topic: dict(uses) for topic, uses in found.fields.items()},
-        "notes": list(found.notes),
-        "recorded": dict(found.recorded),
+        "limit_passed_at": dict(scores.moments),
+        "missing": dict(scores.missing),
+        "topics": dict(scores.topics),
+        "unused_topics": dict(scores.unused),
+        "fields": {topic: dict(uses) for topic, uses in scores.fields.items()},
+        "notes": list(scores.notes),
+        "recorded": dict(scores.recorded),
     }
     return json.dumps(whole, indent=2)
 
 
-def scores_text(found: LogScores) -> str:
+def scores_text(scores: LogScores) -> str:
     """Return a line for each score, and where the numbers are from."""
     rows = [("score", "value", "unit", "")]
-    for name, spec in found.specs.items():
-        value = found.values.get(name)
+    for name, spec in scores.specs.items():
+        value = scores.values.get(name)
         shown = "-" if value is None else f"{value:.6g}"
-        said = clean(found.missing.get(name, ""), at_most=200)
-        if name in found.moments:
-            said = f"limit first passed at {found.moments[name]:.3f} s"
+        said = clean(scores.missing.get(name, ""), at_most=200)
+        if name in scores.moments:
+            said = f"limit first passed at {scores.moments[name]:.3f} s"
         rows.append((name, shown, spec.unit, said))
     lines = aligned(rows, right=(1,))
-    notes = [f"{found.seconds:.2f} s"]
-    notes += [f"{source}: {clean(topic, at_most=100)}" for source, topic in found.topics.items()]
-    if found.recorded:
+    notes = [f"{scores.seconds:.2f} s"]
+    notes += [f"{source}: {clean(topic, at_most=100)}" for source, topic in scores.topics.items()]
+    if scores.recorded:
         apart = [
             name
-            for name, value in found.recorded.items()
-            if not isclose(found.values.get(name, nan), value, rel_tol=1e-9, abs_tol=1e-9)
+            for name, value in scores.recorded.items()
+            if not isclose(scores.values.get(name, nan), value, rel_tol=1e-9, abs_tol=1e-9)
         ]
         notes.append(
             f"the run recorded other values of {', '.join(apart)}"
             if apart
-            else f"{plural(len(found.recorded), 'score')} equal to what the run recorded, to 1e-9"
+            else f"{plural(len(scores.recorded), 'score')} equal to what the run recorded, to 1e-9"
         )
-    if found.restored:
+    if scores.restored:
         notes.append(
             f"bits are others here than where it was recorded: the trial went on from a recorded "
-            f"state {plural(found.restored, 'time')}"
+            f"state {plural(scores.restored, 'time')}"
         )
-    if found.unused:
-        notes.append(f"{plural(len(found.unused), 'topic')} not read (--json lists them)")
-    said = [f"note: {clean(each)}" for each in found.notes]
+    if scores.unused:
+        notes.append(f"{plural(len(scores.unused), 'topic')} not read (--json lists them)")
+    said = [f"note: {clean(each)}" for each in scores.notes]
     return "\n".join([*lines, "", "; ".join(notes), *said])

@@ -28,16 +28,16 @@ class Sensors(Verb):
     json: bool = False
     """With --list: print JSON."""
 
-    def show(self, found: SeenCard) -> str:
-        return seen_text(found)
+    def show(self, result: SeenCard) -> str:
+        return seen_text(result)
 
     def __call__(self) -> int:
         if not self.names:
             return super().__call__()
         from nw_eval import api
 
-        found = api.list_sensors()
-        print(json_text(found) if self.json else sensor_list(found))
+        sensors = api.list_sensors()
+        print(json_text(sensors) if self.json else sensor_list(sensors))
         return 0
 
 

@@ -22,8 +22,8 @@ class SimToReal(Printed, Verb):
 
     real: Path
 
-    def show(self, found: Agreement) -> str:
-        return agreement_text(found)
+    def show(self, result: Agreement) -> str:
+        return agreement_text(result)
 
 
 _WIDTH = 100
@@ -36,26 +36,28 @@ _NOTE = (
 )
 
 
-def agreement_text(found: Agreement) -> str:
+def agreement_text(agreement: Agreement) -> str:
     """Return a line for each policy and figure, and what cannot be said."""
-    percent = f"{100 * found.confidence:.4g} %"
+    percent = f"{100 * agreement.confidence:.4g} %"
     gaps = [
         (clean(each.policy, at_most=80), f"{each.value:+.4g}", _gap_span(each.interval))
-        if found.score != "success"
+        if agreement.score != "success"
         else (clean(each.policy, at_most=80), f"{each.value:+.3f}", _span(each.interval, "+"))
-        for each in found.gaps
+        for each in agreement.gaps
     ]
-    gap_lines = aligned([("policy", _gap_title(found), f"{percent} each alone"), *gaps], right=(1,))
-    if not found.figures:
-        return "\n".join([*gap_lines, "", *found.remarks])
+    gap_lines = aligned(
+        [("policy", _gap_title(agreement), f"{percent} each alone"), *gaps], right=(1,)
+    )
+    if not agreement.figures:
+        return "\n".join([*gap_lines, "", *agreement.remarks])
     figures = aligned(
         [
             ("agreement", "value", f"{percent} interval", "perfect: mean", "worst 5 %"),
-            *(_line(each) for each in found.figures),
+            *(_line(each) for each in agreement.figures),
         ],
         right=(1, 3, 4),
     )
-    return "\n".join([*gap_lines, "", *figures, "", *found.remarks, fill(_NOTE, _WIDTH)])
+    return "\n".join([*gap_lines, "", *figures, "", *agreement.remarks, fill(_NOTE, _WIDTH)])
 
 
 def _line(each: AgreementFigure) -> tuple[str, ...]:
@@ -68,11 +70,11 @@ def _line(each: AgreementFigure) -> tuple[str, ...]:
     )
 
 
-def _gap_title(found: Agreement) -> str:
-    if found.score == "success":
+def _gap_title(agreement: Agreement) -> str:
+    if agreement.score == "success":
         return "simulator less robot"
-    unit = f", {found.unit}" if found.unit else ""
-    return f"{found.score}{unit}: simulator less robot"
+    unit = f", {agreement.unit}" if agreement.unit else ""
+    return f"{agreement.score}{unit}: simulator less robot"
 
 
 def _gap_span(interval: Interval) -> str:

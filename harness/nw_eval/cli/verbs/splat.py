@@ -17,20 +17,20 @@ if TYPE_CHECKING:
 class Info(Printed, Verb):
     """Show the contents of a splat: counts, bounds, harmonics, sizes, opacities."""
 
-    def show(self, found: SplatFigures) -> str:
+    def show(self, result: SplatFigures) -> str:
         from nw_splat.cli import splat_page
 
-        return splat_page(found)
+        return splat_page(result)
 
 
 @verb_of("splat_convert", flags=("out",))
 class Convert(Verb):
     """Convert a Gaussian-splat file to .ply, gsplat .pt (exact), .spz or .splat (lossy)."""
 
-    def show(self, found: WrittenSplat) -> str:
+    def show(self, result: WrittenSplat) -> str:
         from nw_splat.cli import written_line
 
-        return written_line(found)
+        return written_line(result)
 
 
 @verb_of(

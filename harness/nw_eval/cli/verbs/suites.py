@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 class Suites(Printed, Verb):
     """List the named suites: scenes, trials, bar, policy, purpose."""
 
-    def show(self, found: Sequence[ListedSuite]) -> str:
-        return suite_table(found)
+    def show(self, result: Sequence[ListedSuite]) -> str:
+        return suite_table(result)
 
 
 def suite_table(suites: Sequence[ListedSuite]) -> str:

@@ -61,7 +61,7 @@ class SweepAxes:
             allow_code=self.allow_code,
         )
         with RunProgress() as progress:
-            found = api.sweep(
+            swept = api.sweep(
                 request,
                 self.axis,
                 out=self.out,
@@ -71,23 +71,23 @@ class SweepAxes:
                 confidence=self.confidence,
                 listener=progress,
             )
-        print(sweep_text(found))
-        if found.interrupted:
+        print(sweep_text(swept))
+        if swept.interrupted:
             tell("interrupted; the same command reuses the finished trials")
             return INTERRUPTED
         return 0
 
 
-def sweep_text(found: SweptSuite) -> str:
+def sweep_text(swept: SweptSuite) -> str:
     """Return the tables of a sweep, what they say, and where its files are."""
     from nw_eval.reporting.sweep import sweep_table, sweep_words
 
     parts: list[str] = []
-    for curves in found.axes:
+    for curves in swept.axes:
         table = sweep_table(curves)
         right = [place for place, name in enumerate(table.columns) if name in table.numbers]
         parts.append("\n".join(aligned([table.columns, *table.rows], right=right)))
         parts.append("\n".join(sweep_words(curves)))
-    if found.axes:
-        parts.append("\n".join(str(found.out / f"sweep.{end}") for end in ("md", "png", "parquet")))
+    if swept.axes:
+        parts.append("\n".join(str(swept.out / f"sweep.{end}") for end in ("md", "png", "parquet")))
     return "\n\n".join(parts)

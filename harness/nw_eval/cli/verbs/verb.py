@@ -80,19 +80,19 @@ class Verb:
         """Return arguments of the function that are not handed on as they were given."""
         return {}
 
-    def show(self, found: Any) -> str:
+    def show(self, result: Any, /) -> str:
         """Return what is printed of an answer; nothing is where it is empty."""
-        return str(found)
+        return str(result)
 
-    def shown_json(self, found: Any) -> str:
+    def shown_json(self, result: Any, /) -> str:
         """Return what `--json` prints of an answer."""
-        return json_text(found)
+        return json_text(result)
 
-    def code(self, found: Any) -> int:
+    def code(self, result: Any, /) -> int:
         """Return the exit code of an answer."""
-        if getattr(found, "interrupted", False):
+        if getattr(result, "interrupted", False):
             return INTERRUPTED
-        return getattr(found, "exit_code", 0)
+        return getattr(result, "exit_code", 0)
 
     def call(self) -> Any:
         """Call the function with the options, and return its answer."""
@@ -110,10 +110,10 @@ class Verb:
             return getattr(api, function)(listener=progress, **values)
 
     def __call__(self) -> int:
-        found = self.call()
-        if shown := self.shown_json(found) if getattr(self, "json", False) else self.show(found):
+        result = self.call()
+        if shown := self.shown_json(result) if getattr(self, "json", False) else self.show(result):
             print(shown)
-        code = self.code(found)
+        code = self.code(result)
         if code == INTERRUPTED:
             tell(self.goes_on)
         return code
@@ -144,20 +144,20 @@ def verb_of(
         heard: the line for what the function tells its `progress`.
     """
     known = inspect.unwrap(getattr(api, function))
-    found = {named.get(each.name, each.name): each for each in _options(known, changes, without)}
+    by_name = {named.get(each.name, each.name): each for each in _options(known, changes, without)}
 
     def complete(form: type[V]) -> type[V]:
         own = inspect.get_annotations(form)
-        stated = get_type_hints(form, include_extras=True) if own.keys() & found.keys() else {}
+        stated = get_type_hints(form, include_extras=True) if own.keys() & by_name.keys() else {}
         hints: dict[str, Any] = {}
-        for name, each in found.items():
+        for name, each in by_name.items():
             if name not in vars(form) and each.default is not inspect.Parameter.empty:
                 setattr(form, name, each.default)
             hint = stated[name] if name in own else each.hint_for(getattr(form, name, None))
             marks = each.marks(metavars.get(each.name), is_flag=each.name in flags)
             hints[name] = Annotated[(hint, *marks)]
         form.__annotations__ = {**hints, **{n: hint for n, hint in own.items() if n not in hints}}
-        options = {each.name: name for name, each in found.items()}
+        options = {each.name: name for name, each in by_name.items()}
         form.made = _Call(function, options, listens, heard)
         return dataclass(frozen=True, kw_only=True)(form)
 

@@ -50,8 +50,8 @@ class Verify(Printed, Verb):
             )
         return {"trials": SAMPLE if self.trials is None else self.trials}
 
-    def show(self, found: VerifiedRun) -> str:
-        return verification_lines(found)
+    def show(self, result: VerifiedRun) -> str:
+        return verification_lines(result)
 
 
 _MOST = 20

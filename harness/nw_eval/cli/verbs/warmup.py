@@ -14,6 +14,6 @@ if TYPE_CHECKING:
 class Warmup(Verb):
     """Compile the rendering kernels into the cache and build the splats of the given scenes."""
 
-    def show(self, found: WarmUp) -> str:
-        built = f", {len(found.scenes)} scenes built" if found.scenes else ""
-        return f"kernels ready after {found.kernel_seconds:.1f} s{built}"
+    def show(self, result: WarmUp) -> str:
+        built = f", {len(result.scenes)} scenes built" if result.scenes else ""
+        return f"kernels ready after {result.kernel_seconds:.1f} s{built}"

@@ -105,14 +105,16 @@ def poses(
     messages: Messages, frames: set[str]
 ) -> dict[str, tuple[list[int], np.ndarray, np.ndarray]]:
     """Return where frames are: times in ns, positions (T, 3) m, quaternions (T, 4) x y z w."""
-    found: defaultdict[str, list[tuple[int, tuple[float, ...]]]] = defaultdict(list)
+    by_entity: defaultdict[str, list[tuple[int, tuple[float, ...]]]] = defaultdict(list)
     for time, message in messages.get("/tf", ()):
         for transform in message.transforms:
             if transform.child_frame_id in frames:
                 p, q = transform.translation, transform.rotation
-                found[transform.child_frame_id].append((time, (p.x, p.y, p.z, q.x, q.y, q.z, q.w)))
+                by_entity[transform.child_frame_id].append(
+                    (time, (p.x, p.y, p.z, q.x, q.y, q.z, q.w))
+                )
     split = {}
-    for frame, rows in found.items():
+    for frame, rows in by_entity.items():
         numbers = np.array([row for _, row in rows])
         split[frame] = ([time for time, _ in rows], numbers[:, :3], numbers[:, 3:])
     return split
@@ -132,23 +134,23 @@ def archetypes(entity: Any) -> dict[str, Any]:
         ValueError: its triangles have corners that are not there.
     """
     rr = rerun_sdk()
-    found: dict[str, Any] = {}
+    archetypes: dict[str, Any] = {}
     for number, triangles in enumerate(entity.triangles):
-        found[f"mesh{number or ''}"] = _mesh(triangles)
+        archetypes[f"mesh{number or ''}"] = _mesh(triangles)
     for number, line in enumerate(entity.lines):
         points = [(p.x, p.y, p.z) for p in line.points]
-        found[f"line{number or ''}"] = rr.LineStrips3D(
+        archetypes[f"line{number or ''}"] = rr.LineStrips3D(
             [points], colors=[_colour(line.color)], radii=_LINE
         )
     if entity.cubes:
         halves = [(0.5 * s.size.x, 0.5 * s.size.y, 0.5 * s.size.z) for s in entity.cubes]
-        found["boxes"] = rr.Boxes3D(half_sizes=halves, **_placed(entity.cubes))
+        archetypes["boxes"] = rr.Boxes3D(half_sizes=halves, **_placed(entity.cubes))
     if entity.cylinders:
-        found["cylinders"] = cylinders(entity.cylinders)
+        archetypes["cylinders"] = cylinders(entity.cylinders)
     if entity.spheres:
         halves = [(0.5 * s.size.x, 0.5 * s.size.y, 0.5 * s.size.z) for s in entity.spheres]
-        found["ellipsoids"] = rr.Ellipsoids3D(half_sizes=halves, **_placed(entity.spheres))
-    return found
+        archetypes["ellipsoids"] = rr.Ellipsoids3D(half_sizes=halves, **_placed(entity.spheres))
+    return archetypes
 
 
 def cylinders(shapes: Any, labels: list[str] | None = None) -> Any:
@@ -408,11 +410,11 @@ def write_recording(log: Path, out: Path) -> WrittenRecording:
 
 
 def _messages(logged: LoggedTrial) -> dict[str, list[tuple[int, Any]]]:
-    found: defaultdict[str, list[tuple[int, Any]]] = defaultdict(list)
+    by_topic: defaultdict[str, list[tuple[int, Any]]] = defaultdict(list)
     for topic, time, message in logged.log.messages():
         if not topic.startswith(_UNSHOWN):
-            found[topic].append((time, message))
-    return dict(found)
+            by_topic[topic].append((time, message))
+    return dict(by_topic)
 
 
 def _write_whole(

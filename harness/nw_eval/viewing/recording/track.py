@@ -117,8 +117,8 @@ def rerun_sdk() -> Any:
     except ImportError as error:
         raise PrerequisiteError(f"Rerun's files need the package {error.name}", fix=_FIX) from error
     if not hasattr(sdk, "GaussianSplats3D"):
-        found = getattr(sdk, "__version__", "another package")
-        raise PrerequisiteError(f"Rerun's files need rerun-sdk 0.41, not {found}", fix=_FIX)
+        version = getattr(sdk, "__version__", "another package")
+        raise PrerequisiteError(f"Rerun's files need rerun-sdk 0.41, not {version}", fix=_FIX)
     return sdk
 
 

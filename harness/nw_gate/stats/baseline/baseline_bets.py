@@ -192,16 +192,16 @@ def make_bets(
     for part, weight in _PASSES:
         guess = _harder(known, levels, np.full(mean.shape, part * max_drop))
         for repeats in (0.0, _REPEATS) if by_start else (0.0,):
-            found = _solve(
+            bets = _solve(
                 _by_class(guess, repeats, shares.shape[-1]), values, shares, mean - max_drop
             )
-            above.append(Account(weight, *found))
+            above.append(Account(weight, *bets))
     below = list[Account]()
     for part, weight in _FLAGS:
         drop = max(part * max_drop, tolerate + _BEYOND * max_drop)
         guess = _harder(known, levels, np.minimum(drop, np.maximum(mean - _LEAST_LEFT, 0.0)))
-        found = _solve(_by_class(guess, 0.0, 1), 1.0 - values, shares, 1.0 - (mean - tolerate))
-        below.append(Account(weight, *found))
+        bets = _solve(_by_class(guess, 0.0, 1), 1.0 - values, shares, 1.0 - (mean - tolerate))
+        below.append(Account(weight, *bets))
     return BaselineBets(
         levels=levels,
         shares=shares,
@@ -237,8 +237,8 @@ def _harder(results: Floats, levels: NDArray[np.intp], drop: Floats) -> Floats:
     low, high = np.zeros_like(mean), np.ones_like(mean)
     for _ in range(_HALVINGS):
         kept = (low + high) / 2.0
-        found = ((at_least * _powers(kept, at_least))[..., 1:].sum(axis=-1) / levels).mean(axis=-1)
-        low, high = np.where(found < wanted, kept, low), np.where(found < wanted, high, kept)
+        growth = ((at_least * _powers(kept, at_least))[..., 1:].sum(axis=-1) / levels).mean(axis=-1)
+        low, high = np.where(growth < wanted, kept, low), np.where(growth < wanted, high, kept)
     left = at_least * _powers(np.where(drop > 0.0, high, 1.0), at_least)
     return left - np.concatenate([left[..., 1:], np.zeros_like(left[..., :1])], axis=-1)
 
@@ -304,5 +304,5 @@ def _solve(guess: Floats, values: Floats, shares: Floats, null: Floats) -> tuple
         step = np.maximum(over, 0.0) / np.where(rises > 0.0, rises, 1.0)
         slope = np.where(possible, np.maximum(slope - step, 0.0), 0.0)
     fixed = np.where(possible[..., None, None], fixed, 1.0)
-    fixed, slope = (np.rint(found / _STEP) * _STEP for found in (fixed, slope))
+    fixed, slope = (np.rint(part / _STEP) * _STEP for part in (fixed, slope))
     return np.broadcast_to(fixed, shares.shape), slope

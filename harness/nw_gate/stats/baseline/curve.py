@@ -208,7 +208,7 @@ def trials_for(shares: Sequence[float], share: float) -> int | None:
         shares: after 1, 2, ... trials.
         share: to reach, from 0 to 1.
     """
-    return next((number for number, found in enumerate(shares, 1) if found >= share), None)
+    return next((number for number, each in enumerate(shares, 1) if each >= share), None)
 
 
 Kind = Literal["every waypoint harder", "all or nothing"]

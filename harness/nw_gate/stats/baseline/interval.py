@@ -106,10 +106,10 @@ def scene_drop_intervals(
     Raises:
         ValueError: a scene has more trials than starts.
     """
-    found: list[Interval] = []
+    intervals: list[Interval] = []
     for scene in range(len(reference.means)):
         own = trials.at(np.flatnonzero(trials.scenes == scene).tolist())
-        found.append(
+        intervals.append(
             _interval(
                 replace(reference, means=reference.means[[scene]], bets=None),
                 replace(own, scenes=np.zeros_like(own.scenes)),
@@ -117,7 +117,7 @@ def scene_drop_intervals(
                 _TIMES_ALONE,
             )
         )
-    return tuple(found)
+    return tuple(intervals)
 
 
 def _interval(
@@ -170,11 +170,11 @@ def _ruled_out(
     alpha_pass, alpha_regr = alphas
 
     def last(values: list[Floats], nulls: list[Floats], bets: Bets) -> Floats:
-        found = capital(reference, values, nulls, bets)[..., -1]
+        capitals = capital(reference, values, nulls, bets)[..., -1]
         if not learns:
-            return found
+            return capitals
         learnt = [_learnt(y, null) for y, null in zip(values, nulls, strict=True)]
-        return (found + np.mean(learnt, axis=0)) / 2.0
+        return (capitals + np.mean(learnt, axis=0)) / 2.0
 
     def too_small(drops: Floats) -> Truths:
         return last(downs, nulls_at_most(reference, drops), DOWN) >= 1.0 / alpha_regr
@@ -227,12 +227,12 @@ def _first(holds: Callable[[Floats], Truths], low: Floats, high: Floats, times: 
     """
     for _ in range(times):
         points = np.linspace(low, high, _PARTS + 1, axis=-1)
-        found = holds(points)
-        first = found.argmax(axis=-1)  # 0 where it holds nowhere, too.
-        last = np.where(found.any(axis=-1), first, _PARTS)
-        begins = found[:, 0]
+        held = holds(points)
+        first = held.argmax(axis=-1)  # 0 where it holds nowhere, too.
+        last = np.where(held.any(axis=-1), first, _PARTS)
+        begins = held[:, 0]
         high = np.where(begins, low, _at(points, last))
-        low = np.where(begins | ~found.any(axis=-1), high, _at(points, last - 1))
+        low = np.where(begins | ~held.any(axis=-1), high, _at(points, last - 1))
     return high
 
 

@@ -289,22 +289,22 @@ def _rule(
     flagging, passing = _reached(scenes[:count], every, rules)
     flags, passes = _first(flagging), _first(passing)
     mean = min(count, flags + 1, passes + 1)
-    found = _Scenes(scenes[:mean], every.own[:mean], rules)
+    rule_scenes = _Scenes(scenes[:mean], every.own[:mean], rules)
     word: _Word = "undecided"
     followed, pending = list[int](), list[int]()
     if flags < mean:
         word = "REGRESSED"
     elif passes < mean:
-        followed, pending = found.follow(scenes, every.own, ended, mean)
-        word = "REGRESSED" if found.flagged else "undecided" if found.waits else "PASS"
+        followed, pending = rule_scenes.follow(scenes, every.own, ended, mean)
+        word = "REGRESSED" if rule_scenes.flagged else "undecided" if rule_scenes.waits else "PASS"
     else:
         pending = list(range(count, len(scenes)))
     return TrialDecision(
         word=word,
         mean=mean,
         followed=tuple(followed),
-        named=tuple(sorted(found.named)),
-        waits_for=tuple(sorted(found.waits)) if word == "undecided" else (),
+        named=tuple(sorted(rule_scenes.named)),
+        waits_for=tuple(sorted(rule_scenes.waits)) if word == "undecided" else (),
         pending=tuple(pending),
     )
 
@@ -391,7 +391,7 @@ def settle_all(reference: Reference, trials: DrawnTrials, rules: TrialRules) -> 
     whole = replace(
         reference, means=np.broadcast_to(reference.means, (gates, reference.means.shape[-1]))
     )
-    found: dict[int, TrialDecision] = {}
+    decisions: dict[int, TrialDecision] = {}
     going, count = np.arange(gates), min(64, budget)
     while going.size:
         cut = trials.only(going, count)
@@ -404,10 +404,10 @@ def settle_all(reference: Reference, trials: DrawnTrials, rules: TrialRules) -> 
             one = Looks(every.passed[row], every.regressed[row], every.own[row])
             decision = _rule(cut.scenes[row], one, count, np.ones(count, dtype=bool), rules)
             if count == budget or decision.word != "undecided":
-                found[gate] = decision
-        going = np.array([gate for gate in going.tolist() if gate not in found], dtype=np.intp)
+                decisions[gate] = decision
+        going = np.array([gate for gate in going.tolist() if gate not in decisions], dtype=np.intp)
         count = min(2 * count, budget)
-    return [found[gate] for gate in range(gates)]
+    return [decisions[gate] for gate in range(gates)]
 
 
 def most_false_alarms(
@@ -491,9 +491,9 @@ def _own(scenes: Places, losses: Floats, nulls: Floats, starts: float) -> Floats
     table = np.zeros((*null.shape, int(visits.max(initial=0)) + 1))
     table[rows, sorted_scenes, visits] = np.take_along_axis(values, order, axis=-1)
     evidence = along(table, null, starts, DOWN)
-    found = np.empty(flat.shape)
-    np.put_along_axis(found, order, evidence[rows, sorted_scenes, visits], axis=-1)
-    return found.reshape(shape)
+    own_evidence = np.empty(flat.shape)
+    np.put_along_axis(own_evidence, order, evidence[rows, sorted_scenes, visits], axis=-1)
+    return own_evidence.reshape(shape)
 
 
 def _first(holds: Truths) -> int:

@@ -50,18 +50,18 @@ def descendants(process: int) -> list[int]:
 
     Whatever session it is in; but what has lost its parent is not among it.
     """
-    found: list[int] = []
+    pids: list[int] = []
     for each in _children(process):
-        found += [each, *descendants(each)]
-    return found
+        pids += [each, *descendants(each)]
+    return pids
 
 
 def _children(process: int) -> list[int]:
-    found: list[int] = []
+    children: list[int] = []
     with suppress(OSError):  # It has ended.
         for thread in os.listdir(f"/proc/{process}/task"):  # noqa: PTH208 - Path takes tenfold.
-            found += map(int, text_of(f"/proc/{process}/task/{thread}/children").split())
-    return found
+            children += map(int, text_of(f"/proc/{process}/task/{thread}/children").split())
+    return children
 
 
 class Progress:

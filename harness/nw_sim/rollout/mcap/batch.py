@@ -51,7 +51,7 @@ class Form:
         data = message.SerializeToString(deterministic=True)
         self.kind: type[Any] = type(message)
         self._bytes = np.frombuffer(data, np.uint8)
-        self._times = _starts(data, _TIME)
+        self._times = _offsets_of(data, _TIME)
         # Where the numbers lie, as fields of two records: one call of NumPy copies all of them.
         sizes = [len(blank) for blank in blanks]
         places = [_only_place(data, blank) for blank in blanks]
@@ -96,11 +96,11 @@ def _fields(places: Sequence[int], sizes: Sequence[int], *, length: int) -> np.d
 def long_times(times: NDArray[np.int64]) -> NDArray[np.uint8]:
     """Return times, ns, as protobuf's (N, 10), all of the length of `BLANK_TIME`'s."""
     seconds, nanos = np.divmod(times, _SECOND)
-    found = np.empty((len(times), len(_TIME)), np.uint8)
-    found[:, 0], found[:, 4] = _TIME[0], _TIME[4]
-    _put_long_varints(found[:, 1:4], seconds)
-    _put_long_varints(found[:, 5:10], nanos)
-    return found
+    stamps = np.empty((len(times), len(_TIME)), np.uint8)
+    stamps[:, 0], stamps[:, 4] = _TIME[0], _TIME[4]
+    _put_long_varints(stamps[:, 1:4], seconds)
+    _put_long_varints(stamps[:, 5:10], nanos)
+    return stamps
 
 
 def _put_long_varints(places: NDArray[np.uint8], values: NDArray[np.int64]) -> None:
@@ -112,18 +112,18 @@ def _put_long_varints(places: NDArray[np.uint8], values: NDArray[np.int64]) -> N
 
 
 def _only_place(data: bytes, blank: bytes) -> int:
-    [place] = _starts(data, blank)
+    [place] = _offsets_of(data, blank)
     return place
 
 
-def _starts(data: bytes, part: bytes) -> list[int]:
+def _offsets_of(data: bytes, part: bytes) -> list[int]:
     """Return where a part begins in the data."""
-    found: list[int] = []
+    offsets: list[int] = []
     at = data.find(part)
     while at >= 0:
-        found.append(at)
+        offsets.append(at)
         at = data.find(part, at + 1)
-    return found
+    return offsets
 
 
 class Batch(NamedTuple):
@@ -194,7 +194,7 @@ def merged(count: int, parts: Sequence[Part]) -> Batch:
     """Return pieces that are put together from parts, in the order of these."""
     pieces: list[list[bytes]] = [[] for _ in range(count)]
     sizes = np.zeros(count, np.int64)
-    found = [np.empty((0, 4), np.int64)]
+    indices = [np.empty((0, 4), np.int64)]
     for goes_to, batch in parts:
         for number, piece in zip(goes_to, batch.pieces, strict=True):
             pieces[number].append(piece)
@@ -202,9 +202,9 @@ def merged(count: int, parts: Sequence[Part]) -> Batch:
         index = batch.places.copy()
         index[:, 2] = numbers[batch.places[:, 2]]
         index[:, 3] += sizes[index[:, 2]]
-        found.append(index)
+        indices.append(index)
         sizes[numbers] += np.array([len(piece) for piece in batch.pieces], np.int64)
-    rows = np.concatenate(found)
+    rows = np.concatenate(indices)
     whole = [b"".join(each) for each in pieces]
     return Batch(whole, rows[np.lexsort((rows[:, 3], rows[:, 2]))])
 
@@ -213,9 +213,9 @@ def _index(channels: ArrayLike, times: ArrayLike, starts: ArrayLike) -> Integers
     """Return the index of N pieces at `times` (N,), with records (N, K) in each."""
     times = np.asarray(times, np.int64)
     count = len(times)
-    found = np.empty((count, np.size(starts), 4), np.int64)
-    found[:, :, 0] = channels
-    found[:, :, 1] = times[:, np.newaxis]
-    found[:, :, 2] = np.arange(count)[:, np.newaxis]
-    found[:, :, 3] = starts
-    return found.reshape(-1, 4)
+    index = np.empty((count, np.size(starts), 4), np.int64)
+    index[:, :, 0] = channels
+    index[:, :, 1] = times[:, np.newaxis]
+    index[:, :, 2] = np.arange(count)[:, np.newaxis]
+    index[:, :, 3] = starts
+    return index.reshape(-1, 4)

@@ -263,7 +263,7 @@ def place_cloud(mesh: TriangleMesh) -> bytes:
 @lru_cache(maxsize=4)
 def robot_clouds(bodies: tuple[str, ...], visuals: tuple[Shape, ...]) -> dict[str, bytes]:
     """Return points of each body's shapes in its own frame: corners, and some points of meshes."""
-    found: dict[str, bytes] = {}
+    clouds: dict[str, bytes] = {}
     for body in bodies:
         shapes = [shape for shape in visuals if shape.body == body]
         if shapes:
@@ -272,8 +272,8 @@ def robot_clouds(bodies: tuple[str, ...], visuals: tuple[Shape, ...]) -> dict[st
                 [shape.rgba or (0.5, 0.5, 0.5, 1.0)] * len(own)
                 for shape, own in zip(shapes, points, strict=True)
             ]
-            found[body] = _cloud(0, body, _rows(np.concatenate(points), np.concatenate(colours)))
-    return found
+            clouds[body] = _cloud(0, body, _rows(np.concatenate(points), np.concatenate(colours)))
+    return clouds
 
 
 class CourseClouds:

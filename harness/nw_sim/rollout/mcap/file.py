@@ -268,9 +268,9 @@ class McapWriter:
             full = np.searchsorted(ends, CHUNK_BYTES - self._size + written, side="right")
             end = min(int(full) + 1, len(pieces))
             first, last = np.searchsorted(index[:, 2], (done, end))
-            found = index[first:last]
-            begins = np.concatenate(([0], ends))[found[:, 2]] + (self._size - written)
-            self._index.append(np.column_stack((found[:, :2], begins + found[:, 3])))
+            entries = index[first:last]
+            begins = np.concatenate(([0], ends))[entries[:, 2]] + (self._size - written)
+            self._index.append(np.column_stack((entries[:, :2], begins + entries[:, 3])))
             self._parts += pieces[done:end]
             self._size += int(ends[end - 1]) - written
             done, written = end, int(ends[end - 1])

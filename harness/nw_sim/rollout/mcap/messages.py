@@ -187,24 +187,24 @@ class Saved(NamedTuple):
 
 def sim_state(saved: Saved) -> bytes:
     """Return the message without its time; what is zero or empty is left out, as protobuf does."""
-    found: list[bytes] = []
+    chunks: list[bytes] = []
     if saved.step:
-        found += _STEP, varint(saved.step)
+        chunks += _STEP, varint(saved.step)
     for field, data in ((_WORLD, saved.world), (_POLICY, saved.policy)):
         if data:
-            found += field, sized(data)
+            chunks += field, sized(data)
     for name, data in saved.parts.items():
-        found += _part_head(name, len(data)), data
-    return b"".join(found)
+        chunks += _part_head(name, len(data)), data
+    return b"".join(chunks)
 
 
 @lru_cache(maxsize=1024)  # They are the same in most states.
 def _part_head(name: str, size: int) -> bytes:
     """Return what stands before the data of a part."""
-    found = _NAME + sized(name.encode()) if name else b""
+    head = _NAME + sized(name.encode()) if name else b""
     if size:
-        found += _DATA + varint(size)
-    return _PART + varint(len(found) + size) + found
+        head += _DATA + varint(size)
+    return _PART + varint(len(head) + size) + head
 
 
 class States:

@@ -336,17 +336,17 @@ class LogReader:
 
     def elements(self) -> dict[str, tuple[str, ...]]:
         """Return what numbers are called, by topic, or topic and field; older logs do not say."""
-        found = self.metadata().get(ELEMENTS, {})
-        return {topic: tuple(names.split(",")) for topic, names in found.items()}
+        by_topic = self.metadata().get(ELEMENTS, {})
+        return {topic: tuple(names.split(",")) for topic, names in by_topic.items()}
 
     def attachments(self) -> dict[str, bytes]:
         """Return attached files by name, such as `suite.yaml`."""
         with self._open() as stream:
-            found: dict[str, bytes] = {}
+            attachments: dict[str, bytes] = {}
             for record in attached(stream):
-                found[record.name] = record.data
-                _bound(sum(map(len, found.values())))
-            return found
+                attachments[record.name] = record.data
+                _bound(sum(map(len, attachments.values())))
+            return attachments
 
     def topics(self) -> dict[str, int]:
         """Return the number of messages of every topic."""
@@ -364,13 +364,13 @@ class LogReader:
 
     def states(self) -> tuple[Any, ...]:
         """Return the restartable states (`nw.SimState`), oldest first."""
-        found: list[Any] = []
+        states: list[Any] = []
         total = 0
         with self._open() as stream:
             for message in logged(stream, ("/nw/state",)):
                 _bound(total := total + len(message.data))
-                found.append(SimState.FromString(message.data))
-        return tuple(found)
+                states.append(SimState.FromString(message.data))
+        return tuple(states)
 
     def frames(self, camera: str = "ego") -> Iterator[tuple[float, np.ndarray]]:
         """Yield (time in s, image) of a camera's pictures; none if they were not kept.

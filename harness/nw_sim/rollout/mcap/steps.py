@@ -347,10 +347,10 @@ class BodyForms:
 
     def _on_bodies(self, poses: Array) -> Array:
         """Return poses (N, M, 7) of the cameras, of those of the bodies, (N, B, 7)."""
-        found = np.empty((len(poses), len(self._mounts), 7))
+        mounted = np.empty((len(poses), len(self._mounts), 7))
         for number, (mount, carrier) in enumerate(zip(self._mounts, self._carriers, strict=True)):
-            found[:, number] = mounted_poses(poses[:, carrier], (mount,))[:, 0]
-        return found
+            mounted[:, number] = mounted_poses(poses[:, carrier], (mount,))[:, 0]
+        return mounted
 
 
 def rounded(numbers: NDArray[Any]) -> Array:
@@ -369,11 +369,11 @@ def mounted_poses(trunk: Array, mounts: Sequence[Array]) -> Array:
         trunk: its poses, (N, 7): position, quaternion wxyz.
         mounts: poses in it, (7,) each.
     """
-    found = np.empty((len(trunk), len(mounts), 7))
+    poses = np.empty((len(trunk), len(mounts), 7))
     for number, mount in enumerate(mounts):
-        found[:, number, :3] = trunk[:, :3] + _turned(trunk[:, 3:], mount[:3])
-        found[:, number, 3:] = _product(trunk[:, 3:], mount[3:])
-    return found
+        poses[:, number, :3] = trunk[:, :3] + _turned(trunk[:, 3:], mount[:3])
+        poses[:, number, 3:] = _product(trunk[:, 3:], mount[3:])
+    return poses
 
 
 def trunk_rates(trunk: Array, rates: Array) -> Array:
@@ -405,10 +405,10 @@ def _turned(quats: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the cross products of (N, 3) with (3,) or (N, 3): `np.cross` takes longer."""
-    found = np.empty_like(a)
+    product = np.empty_like(a)
     for to, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-        found[:, to] = a[:, i] * b[..., j] - a[:, j] * b[..., i]
-    return found
+        product[:, to] = a[:, i] * b[..., j] - a[:, j] * b[..., i]
+    return product
 
 
 def _product(quats: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -473,7 +473,7 @@ def _number_fields(rows: NDArray[np.float64]) -> list[bytes]:
     if not size:
         return [b""] * count
     heads = [field + varint(size) for field in _NUMBERS]
-    found = np.empty((count, 3, len(heads[0]) + size), np.uint8)
-    found[:, :, :-size] = np.frombuffer(b"".join(heads), np.uint8).reshape(3, -1)
-    found[:, :, -size:] = values
-    return [row.tobytes() for row in found]
+    fields = np.empty((count, 3, len(heads[0]) + size), np.uint8)
+    fields[:, :, :-size] = np.frombuffer(b"".join(heads), np.uint8).reshape(3, -1)
+    fields[:, :, -size:] = values
+    return [row.tobytes() for row in fields]

@@ -155,15 +155,15 @@ def stretches(times: Array) -> tuple[list[Span], float, int]:
 
 def common(spans: Sequence[Sequence[Span]]) -> list[Span]:
     """Return the stretches that lie in one of each list, s; all are in ascending order."""
-    found = list(spans[0])
+    common_spans = list(spans[0])
     for others in spans[1:]:
         shared, place = list[Span](), 0
-        for begin, end in found:
+        for begin, end in common_spans:
             while place < len(others) and others[place][1] <= begin:
                 place += 1
             for other in others[place:]:
                 if other[0] >= end:
                     break
                 shared.append((max(begin, other[0]), min(end, other[1])))
-        found = shared
-    return found
+        common_spans = shared
+    return common_spans

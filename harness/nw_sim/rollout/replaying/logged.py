@@ -84,7 +84,7 @@ def agreed(
         )
     job = replace(
         recorded,
-        policy=policy or _found(recorded),
+        policy=policy or _policy_path(recorded),
         checkpoint=checkpoint or (None if policy else recorded.checkpoint),
         operator="" if policy or checkpoint else recorded.operator,
         allow_code=allow_code,
@@ -104,7 +104,7 @@ def _refuse_servers(logged: LoggedTrial, library: Library) -> None:
         )
 
 
-def _found(job: TrialJob) -> str:
+def _policy_path(job: TrialJob) -> str:
     """Return the recorded bundle's path, or its name where the path is of another machine."""
     known = what_is(Path(job.policy)) != "nothing" or not job.policy_name
     return job.policy if known else job.policy_name

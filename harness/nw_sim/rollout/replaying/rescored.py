@@ -120,14 +120,14 @@ def scores_of_log(
             for each in logged.job.scores
             if "=" in each and (asked or allow_code or not is_code(each))
         }
-        found = {
+        specs = {
             **own,
             **{name: score_class(each, allow_code=allow_code).spec for name, each in texts.items()},
             **specs_of(name for name in asked or score_names() if name not in {*own, *texts}),
         }
-        found = {name: found[name] for name in asked} if asked else found
-        measured = tuple(texts.get(name, name) for name in found if name not in own)
-        return _of_run(logged, measured, found, allow_code=allow_code)
+        specs = {name: specs[name] for name in asked} if asked else specs
+        measured = tuple(texts.get(name, name) for name in specs if name not in own)
+        return _of_run(logged, measured, specs, allow_code=allow_code)
     names = asked or score_names()
     return _of_robot(path, names, specs_of(names), robot, topics)
 
@@ -162,20 +162,20 @@ def _of_run(
         allow_code=allow_code,
     )
     try:
-        found = TypeAdapter(_Rescored).validate_python(answer)
+        scores = TypeAdapter(_Rescored).validate_python(answer)
     except ValidationError:
         raise StoreError(f"{logged.path} gave no scores that can be read") from None
-    missing = {name: "undefined in this trial" for name in specs if name not in found.values}
+    missing = {name: "undefined in this trial" for name in specs if name not in scores.values}
     return LogScores(
         log=logged.path,
-        seconds=found.seconds,
-        values={name: found.values[name] for name in specs if name in found.values},
-        moments=found.moments,
+        seconds=scores.seconds,
+        values={name: scores.values[name] for name in specs if name in scores.values},
+        moments=scores.moments,
         missing=missing,
         specs=specs,
         topics={},
         recorded={name: value for name, value in _recorded(logged).items() if name in specs},
-        restored=found.restored,
+        restored=scores.restored,
     )
 
 

@@ -147,8 +147,8 @@ def log_file(path: Path) -> Path:
         UsageError: it is a log in another form, or there is not one MCAP file in the folder.
     """
     if path.is_dir():
-        found = sorted(each for each in path.iterdir() if each.suffix in {".mcap", ".db3", ".zstd"})
-        logs = [each for each in found if each.suffix == ".mcap"] or found
+        files = sorted(each for each in path.iterdir() if each.suffix in {".mcap", ".db3", ".zstd"})
+        logs = [each for each in files if each.suffix == ".mcap"] or files
         if len(logs) != 1:
             names = ", ".join(each.name for each in logs[:5]) or "no MCAP file"
             raise UsageError(
@@ -317,14 +317,14 @@ class _Source:
 def _read(path: Path, robot: RobotSpec, chosen: Mapping[str, str]) -> dict[str, _Source]:
     decoders = DecoderFactory()
     by_topic = {topic: source for source, topic in chosen.items()}
-    found: dict[str, _Source] = {}
+    sources: dict[str, _Source] = {}
     orders: dict[Any, Any] = {}
     with path.open("rb") as stream:
         for each in foreign(stream):
             if (source := by_topic.get(each.topic)) is None:
                 continue
             kind, message = kind_of(each), decoded(each, decoders)
-            into = found.setdefault(source, _Source(each.topic, kind))
+            into = sources.setdefault(source, _Source(each.topic, kind))
             if (stamp := stamp_of(message, kind)) is not None:
                 if (key := (stamp, hash(each.data))) in into.seen:
                     into.noted["are there twice"] += 1
@@ -335,14 +335,14 @@ def _read(path: Path, robot: RobotSpec, chosen: Mapping[str, str]) -> dict[str, 
             into.noted.update(f"have {what}" for what in noted_in(message, kind))
             into.times.append((stamp, each.time_ns))
             into.values.append(values_of(source, message, kind, robot, orders, each.topic))
-    return {source: found[source] for source in (*_SOURCES, "imu") if source in found}
+    return {source: sources[source] for source in (*_SOURCES, "imu") if source in sources}
 
 
 def _tracks(path: Path, robot: RobotSpec, read: Mapping[str, _Source]) -> Readings:
     """Return every reading on its times; note which messages lack one."""
     topics = {source: each.topic for source, each in read.items()}
     frames = {source: each.frames for source, each in read.items() if each.frames}
-    found = Readings(robot=robot, topics=topics, frames=frames)
+    readings = Readings(robot=robot, topics=topics, frames=frames)
     middle = sorted(time for each in read.values() for _, time in each.times)
     origin = middle[len(middle) // 2]
     stamps = {
@@ -356,28 +356,30 @@ def _tracks(path: Path, robot: RobotSpec, read: Mapping[str, _Source]) -> Readin
         )
         for source, each in read.items()
     }
-    clock, faults = on_one_clock(stamps, found.notes)
+    clock, faults = on_one_clock(stamps, readings.notes)
     for source, fault in faults.items():
-        found.empty[source] = f"when messages of {topics[source]} were measured is unknown: {fault}"
+        readings.empty[source] = (
+            f"when messages of {topics[source]} were measured is unknown: {fault}"
+        )
     if "joints" in faults or not clock:
         raise UsageError(
-            f"{path}: {found.empty.get('joints') or next(iter(found.empty.values()))}",
+            f"{path}: {readings.empty.get('joints') or next(iter(readings.empty.values()))}",
             fix="record stamps in the headers, or cut the log where its clock was set",
         )
     for source, times in clock.items():
-        _add_tracks(found, read[source], times, "imu_" if source == "imu" else "")
-    lacking = {found.empty.get(name, "") for name, source in _FROM.items() if source == "joints"}
+        _add_tracks(readings, read[source], times, "imu_" if source == "imu" else "")
+    lacking = {readings.empty.get(name, "") for name, source in _FROM.items() if source == "joints"}
     if all(": no joint " in reason for reason in lacking):
         fix = "name another robot with --robot, or a topic with --topic"
         raise UsageError(lacking.pop(), fix=fix)
-    return found
+    return readings
 
 
-def _add_tracks(found: Readings, each: _Source, times: Array, prefix: str) -> None:
+def _add_tracks(readings: Readings, each: _Source, times: Array, prefix: str) -> None:
     count, topic = len(times), each.topic
     order = np.argsort(times, kind="stable")[: np.count_nonzero(np.isfinite(times))].tolist()
     each.noted["have no time and are left out"] = count - len(order)
-    found.notes += [
+    readings.notes += [
         f"{n} of {count} messages of {topic} {what}" for what, n in each.noted.items() if n
     ]
     lacks: dict[str, list[str]] = {}
@@ -388,46 +390,48 @@ def _add_tracks(found: Readings, each: _Source, times: Array, prefix: str) -> No
         name = reading.replace("_", " ")
         kept = [index for index in order if not isinstance(said[index], str)]
         if not kept:
-            found.empty[f"{prefix}{reading}"] = f"{topic} has no {name}: {why}"
+            readings.empty[f"{prefix}{reading}"] = f"{topic} has no {name}: {why}"
             continue
         if whys and reading != "target_torques":
             lacks.setdefault(f"{whys.total()} of {count} messages, {why}", []).append(name)
         last = np.append(np.diff(times[kept]) > 0.0, True)
-        found.tracks[f"{prefix}{reading}"] = (
+        readings.tracks[f"{prefix}{reading}"] = (
             times[kept][last],
             np.array([said[index] for index in kept])[last],
         )
-    found.notes += [f"{topic} has no {', '.join(names)} in {why}" for why, names in lacks.items()]
+    readings.notes += [
+        f"{topic} has no {', '.join(names)} in {why}" for why, names in lacks.items()
+    ]
 
 
-def _slow(found: Readings, path: Path) -> dict[str, list[tuple[float, float]]]:
+def _slow(readings: Readings, path: Path) -> dict[str, list[tuple[float, float]]]:
     """Drop what is logged too seldom; return where the others have no pause, and the rates."""
     spans: dict[str, list[tuple[float, float]]] = {}
     fastest: dict[str, float] = {}
     alone: dict[str, int] = {}
-    for reading, (times, _) in tuple(found.tracks.items()):
+    for reading, (times, _) in tuple(readings.tracks.items()):
         source = _FROM.get(reading, "")
         if source == "command" or not source:
             continue
         spans[reading], rate, alone[source] = stretches(times)
         fastest[source] = max(fastest.get(source, 0.0), rate)
         if rate < (fewest := _FEWEST_POSES if source == "pose" else _FEWEST):
-            found.drop(
+            readings.drop(
                 reading,
-                f"{found.topics[source]} has it {rate:.1f} times a second, under {fewest:.3g}",
+                f"{readings.topics[source]} has it {rate:.1f} times a second, under {fewest:.3g}",
             )
             del spans[reading]
     for source, rate in fastest.items():
         if source != "pose" and rate < _FEWEST:
             raise UsageError(
-                f"{path}: {found.topics[source]} has {rate:.1f} messages a second, scores are of "
-                f"{CONTROL_RATE} control steps a second",
+                f"{path}: {readings.topics[source]} has {rate:.1f} messages a second, scores are "
+                f"of {CONTROL_RATE} control steps a second",
                 fix="log it at 50 Hz or more",
             )
     for source, count in alone.items():
         if count:
-            found.notes.append(
-                f"{plural(count, 'message')} of {found.topics[source]} left out: far from "
+            readings.notes.append(
+                f"{plural(count, 'message')} of {readings.topics[source]} left out: far from "
                 "all others in time"
             )
     return spans
@@ -437,12 +441,12 @@ def _gridded(
     path: Path, robot: RobotSpec, read: Mapping[str, _Source], unused: Mapping[str, str]
 ) -> RobotLog:
     """Return all readings at the ends of control and physics steps."""
-    found = _tracks(path, robot, read)
-    doubt(found)
-    spans = _slow(found, path)
-    tracks = {name: found.tracks[name] for name in _FROM if name in found.tracks}
+    readings = _tracks(path, robot, read)
+    doubt(readings)
+    spans = _slow(readings, path)
+    tracks = {name: readings.tracks[name] for name in _FROM if name in readings.tracks}
     if not tracks:
-        raise UsageError([f"{path} has no reading that can be used", *found.empty.values()])
+        raise UsageError([f"{path} has no reading that can be used", *readings.empty.values()])
     substeps = 1
     for name in ("torques", "joint_rates"):
         if name in spans:
@@ -466,14 +470,14 @@ def _gridded(
         [begin - first + np.arange(1, steps + 1) / CONTROL_RATE for begin, steps in parts]
     )
     if (paused := last - first - len(ends) / CONTROL_RATE) > 0.5 / CONTROL_RATE:
-        found.notes.append(
+        readings.notes.append(
             f"{paused:.4g} s in {plural(len(parts) - 1, 'pause')} of the log are left out"
         )
     if "command" in tracks:
         given = tracks["command"][0]
         since, held = given[0] - first, np.diff(given, append=max(last, given[-1])).max()
-        found.notes += [
-            f"{found.topics['command']} {what}"
+        readings.notes += [
+            f"{readings.topics['command']} {what}"
             for what, seconds in (
                 (f"begins {since:.3g} s late: tracking is scored from there on", since),
                 (f"says nothing for {held:.3g} s: its last command is held", held),
@@ -492,12 +496,12 @@ def _gridded(
     )
     return RobotLog(
         figures=figures,
-        stretches=tuple(_stretch(figures, found, begin, steps) for begin, steps in parts),
+        stretches=tuple(_stretch(figures, readings, begin, steps) for begin, steps in parts),
         ends=ends,
-        fell=None if found.fell is None else found.fell - first,
-        topics=found.topics,
-        empty=found.empty,
-        notes=tuple(found.notes),
+        fell=None if readings.fell is None else readings.fell - first,
+        topics=readings.topics,
+        empty=readings.empty,
+        notes=tuple(readings.notes),
         unused=unused,
         fields={each.topic: FIELDS[each.kind] for each in read.values()},
     )
@@ -507,14 +511,14 @@ _FLAT = "flat/carpet_room"
 """Where the robot's mass is weighed."""
 
 
-def _stretch(figures: Figures, found: Readings, begin: float, steps: int) -> Stretch:
+def _stretch(figures: Figures, log: Readings, begin: float, steps: int) -> Stretch:
     """Return the readings of control steps from a time on: the newest at the end of each."""
     count = steps * (substeps := round(figures.control_period / figures.timestep))
     # The hair lets a message count that comes at the very end of a step.
     fine = begin + np.arange(1, count + 1) * figures.timestep + 1e-6
     readings: dict[str, Array] = {}
-    for name in _FROM.keys() & found.tracks.keys():
-        times, values = found.tracks[name]
+    for name in _FROM.keys() & log.tracks.keys():
+        times, values = log.tracks[name]
         newest = np.searchsorted(times, fine, side="right") - 1
         held = values[np.maximum(newest, 0)]
         held[newest < 0] = np.nan

@@ -138,14 +138,16 @@ def replay(
         result = run_on(trial, *observers)
         if film is not None:
             film.end(result)
-    was, now = logged.verdict, as_metadata(result)
+    was, replayed = logged.verdict, as_metadata(result)
     built, builds = logged.versions, provenance(is_planned=trial.bundle.card.is_planned)
     report = ReplayReport(
         trial=job.trial.id,
         start_step=start_step,
         steps=result.steps,
-        end=now["outcome"] or now["error_type"],
-        differences=_differences((name for name in now if name != "error_text"), was, now),
+        end=replayed["outcome"] or replayed["error_type"],
+        differences=_differences(
+            (name for name in replayed if name != "error_text"), was, replayed
+        ),
         versions=_differences(sorted({*built, *builds}), built, builds),
     )
     return Replayed(logged=logged, result=result, report=report)
@@ -166,12 +168,12 @@ def restore(trial: OpenTrial, logged: LoggedTrial, time: float) -> None:
 
 
 def _differences(
-    names: Iterable[str], recorded: Mapping[str, str], now: Mapping[str, str]
+    names: Iterable[str], recorded: Mapping[str, str], replayed: Mapping[str, str]
 ) -> tuple[Difference, ...]:
     return tuple(
-        Difference(name=name, recorded=recorded.get(name, ""), now=now.get(name, ""))
+        Difference(name=name, recorded=recorded.get(name, ""), now=replayed.get(name, ""))
         for name in names
-        if recorded.get(name) != now.get(name)
+        if recorded.get(name) != replayed.get(name)
     )
 
 
@@ -234,13 +236,13 @@ def take_over(
     job = replace(job, mcap=out, record=record, attachments=carried(recorded, bundle, switch))
     with open_trial(job, library, StageClock()) as trial:
         result = _driven(trial, recorded, switch, library, film)
-        was, now = recorded.verdict, as_metadata(result)
+        was, replayed = recorded.verdict, as_metadata(result)
         last = _last_place(recorded, trial.robot.bodies[0])
         report = TakeoverReport(
             trial=job.trial.id,
             step=step,
             was=Ending.of(was, policy=driver(recorded.job), position=last),
-            now=Ending.of(now, policy=driver(job), position=_xyz(trial.episode.world)),
+            now=Ending.of(replayed, policy=driver(job), position=_xyz(trial.episode.world)),
         )
     return TakenOver(result=result, report=report)
 

@@ -88,9 +88,9 @@ class Cones:
         self, origin: NDArray[np.float64], directions: NDArray[np.float64]
     ) -> NDArray[np.intp]:
         """Return which rays come as near to a cone as its bounding sphere: few of a picture's."""
-        found = np.empty(len(directions), dtype=np.intp)
+        nearest = np.empty(len(directions), dtype=np.intp)
         point = np.array(origin)  # In one piece, which the kernel was compiled for.
-        return found[: insertion.near_any(directions, self._middles, point, _BOUND, found)]
+        return nearest[: insertion.near_any(directions, self._middles, point, _BOUND, nearest)]
 
 
 def shade(upwards: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -221,8 +221,8 @@ def draw(
     coverage = inside.astype(np.float32)
     if pitch is not None:
         # Few pixels: what is costly is done for them alone.
-        found = np.empty(len(flat), dtype=np.intp)
-        edge = found[: insertion.outline(inside.reshape(shape), found)]
+        nearest = np.empty(len(flat), dtype=np.intp)
+        edge = nearest[: insertion.outline(inside.reshape(shape), nearest)]
         rays = np.empty((len(_NINE) * len(edge), 3))
         insertion.rays_around(flat, edge, _NINE * (*pitch, 0.0), rays)
         if len(edge):

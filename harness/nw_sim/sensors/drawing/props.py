@@ -130,7 +130,7 @@ class PropPictures:
             rows: of the pixels, those that `directions` are of; None = all.
             pitch: 1 / fx and 1 / fy of the camera, for soft edges of meshes; None = hard ones.
         """
-        found: list[Overlay] = []
+        overlays: list[Overlay] = []
         for prop, pose in zip(self.props, poses, strict=True):
             if prop.splat is None:
                 one = _of_mesh(prop, pose, directions, T_world_camera, static, pitch)
@@ -144,8 +144,8 @@ class PropPictures:
                 )
                 one = _of_splat(image, directions, T_world_camera, static)
             if one is not None:
-                found.append(one)
-        return found
+                overlays.append(one)
+        return overlays
 
     def into(
         self,
@@ -159,7 +159,7 @@ class PropPictures:
     ) -> Image:
         """Return a picture of the scene with the props in it; arguments as `overlays`."""
         pinhole = camera_at(np.eye(4))
-        found = self.overlays(
+        overlays = self.overlays(
             poses,
             camera_at,
             directions=directions,
@@ -167,10 +167,10 @@ class PropPictures:
             static=static,
             pitch=(1.0 / pinhole.fx, 1.0 / pinhole.fy),
         )
-        if not found:
+        if not overlays:
             return image
         place = {"directions": directions, "T_world_camera": T_world_camera}
-        return insert(image, joined(found), static=static, **place)
+        return insert(image, joined(overlays), static=static, **place)
 
     def _renderer(self, prop: Prop) -> Renderer:
         from nw_splat.render import open_renderer

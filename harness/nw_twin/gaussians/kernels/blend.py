@@ -110,7 +110,7 @@ def gather(
     Returns:
         How many touch the window.
     """
-    found = 0
+    copied = 0
     for i in range(count):
         number = peek(ordered, i) & 0xFFFFFFFF
         j = number * RECORD
@@ -119,14 +119,14 @@ def gather(
         if first >= column1 or last < column0:
             continue
         first, last = max(first, column0) - column0, min(last, column1 - 1) - column0
-        o = found * RECORD
+        o = copied * RECORD
         lower, upper = load(records, j), load(records, j + 8)
         store(out, o, lower)
         store(out, o + 8, upper)
         poke(out, o + COLUMNS, float_of(first | (last << 16)))
-        poke(owners, found, number)
-        found += 1
-    return found
+        poke(owners, copied, number)
+        copied += 1
+    return copied
 
 
 @kernel
