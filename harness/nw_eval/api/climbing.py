@@ -12,9 +12,11 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from nw_base.errors import UsageError
+from nw_base.clean import clean
+from nw_base.errors import NwEvalError, UsageError
 from nw_base.files.cache import atomic_path
 from nw_base.plural import plural
 from nw_eval.api.paths import as_path
@@ -22,7 +24,7 @@ from nw_eval.api.plans import plan
 from nw_eval.api.sweeping import result_folder
 from nw_eval.engine.how import How
 from nw_eval.engine.rounds import RunStanding
-from nw_eval.reporting.html.limits import LadderLimit, write_limits
+from nw_eval.reporting.html.limits import LadderLimit, RungFilm, film_bytes, write_limits
 from nw_gate.limits.find import LimitSearch
 from nw_gate.limits.ladder import Ladder, LimitTrial
 from nw_gate.results.request import Request
@@ -44,6 +46,8 @@ _LONGEST_NAME = 60
 """Characters of a suite's name."""
 _DURATION = 12.0
 """Seconds of a trial, as in the shipped suites."""
+_FILMS_SECONDS = 240.0
+"""Wall time of all films of a page, at most; those of a ladder take about three seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +75,7 @@ def limits(
     seed: int = 1,
     out: str | PathLike[str] | None = None,
     allow_code: bool = False,
+    films: bool = True,
     **how: Any,
 ) -> FoundLimits:
     """Find the hardest rung of each ladder that a policy still completes, with bounds.
@@ -93,6 +98,8 @@ def limits(
         seed: of the initial states.
         out: a new or empty folder (default: `reports/limits-<number>`).
         allow_code: allow Python code of the policy's card (confined).
+        films: show a trial on either side of each limit on the page; this takes some seconds for
+            each ladder, after all limits are found.
         how: fields of `How` by name: workers, cache, listener.
 
     Raises:
@@ -128,7 +135,7 @@ def limits(
     folder = result_folder(as_path(out), "limits")
     names = _folder_names([family.name for family in families])
     found: list[LadderLimit] = []
-    interrupted = False
+    results: list[_Climb] = []
     climbs = [
         (family, label, planned, folder / name / f"{number}")
         for (family, both), name in zip(plans, names, strict=True)
@@ -136,7 +143,9 @@ def limits(
     ]
     for family, label, planned, run in climbs:
         search = _search(family, share, confidence, width, trials)
-        interrupted, errors = _climb(planned, family, search, means, run)
+        climb = _Climb(planned, family, search, means)
+        interrupted = climb.carry_out(means, run)
+        results.append(climb)
         found.append(
             LadderLimit(
                 policy=label,
@@ -144,7 +153,7 @@ def limits(
                 title=_title(family),
                 limit=search.limit,
                 run=run,
-                errors=errors,
+                errors=climb.errors,
             )
         )
         # Written after each: what ends a later search costs no earlier one.
@@ -152,8 +161,53 @@ def limits(
         _write_json(whole, folder / "limits.json")
         write_limits(whole.limits, folder)
         if interrupted:
-            break
-    return FoundLimits(out=folder, limits=tuple(found), interrupted=interrupted)
+            return whole
+    if films:
+        shown, remarks = _filmed(whole.limits, results, cache=means.cache)
+        whole = replace(whole, limits=shown)
+        write_limits(shown, folder, remarks)
+    return whole
+
+
+def _filmed(
+    limits: Sequence[LadderLimit], climbs: Sequence[_Climb], *, cache: bool
+) -> tuple[tuple[LadderLimit, ...], tuple[str, ...]]:
+    """Return limits with films of the trials beside them, and sentences on what is not shown."""
+    from nw_eval.api.evidence import KeptEvidence
+    from nw_eval.api.evidence_drawn import film_of, films_of
+    from nw_gate.results.evidence_check import present_logs
+    from nw_gate.results.provenance import read_run_info
+    from nw_gate.results.run_folder import RunFolder
+
+    end, found = monotonic() + _FILMS_SECONDS, list[LadderLimit]()
+    missing: dict[str, str] = {}
+    for each, climb in zip(limits, climbs, strict=True):
+        shown = climb.beside()
+        folder = RunFolder(path=each.run)
+        try:
+            logs = present_logs(folder, [row for row, _ in shown])
+            known = [(row, value) for row, value in shown if row.trial_id in logs]
+            drawn = films_of(
+                [(logs[row.trial_id], row.scene) for row, _ in known],
+                each.run,
+                kept=KeptEvidence.of_run(read_run_info(folder.run_json)) if cache else None,
+                most_bytes=film_bytes(len(limits)),
+                seconds=end - monotonic(),
+            )
+        except (NwEvalError, OSError) as error:
+            missing[each.ladder] = clean(str(error), at_most=200)
+            found.append(each)
+            continue
+        films = [
+            RungFilm(says=f"{value}: {row.outcome}", film=film_of(clip), seconds=clip.seconds)
+            for (row, value), clip in zip(known, drawn, strict=True)
+            if clip is not None
+        ]
+        if len(films) < len(shown):
+            missing[each.ladder] = "a trial could not be drawn"
+        found.append(replace(each, films=tuple(films)))
+    remarks = [f"Films of {ladder} are missing: {why}." for ladder, why in missing.items()]
+    return tuple(found), tuple(remarks)
 
 
 def _labels(plans: Sequence[Plan]) -> list[str]:
@@ -232,6 +286,7 @@ def _planned(family: SceneLadder, request: Request, most: int) -> Plan:
     from nw_eval.engine.plan import DrawnOrder
     from nw_eval.suite import expand, new_suite
     from nw_gate.baseline.match import draw_trials
+    from nw_gate.results.provenance import search_key
     from nw_policies import load_bundle
 
     robot = request.robot
@@ -262,20 +317,8 @@ def _planned(family: SceneLadder, request: Request, most: int) -> Plan:
     return replace(
         found,
         trials=expand(found.suite, found.scenes, order),
-        drawn=DrawnOrder(starts=each, candidate=key),
+        drawn=DrawnOrder(starts=each, candidate=search_key(key)),
     )
-
-
-def _climb(
-    plan: Plan, family: SceneLadder, search: LimitSearch, how: How, out: Path
-) -> tuple[bool, int]:
-    """Run what a search asks for; return whether a signal came first, and how many errors."""
-    from nw_eval.engine import session
-    from nw_gate.results.provenance import read_run_info
-
-    climb = _Climb(plan, family, search, how)
-    folder = session.carry_out(plan, how, out=out, comparison=climb)
-    return read_run_info(folder.run_json).interrupted, climb.errors
 
 
 class _Climb:
@@ -284,6 +327,7 @@ class _Climb:
     def __init__(self, plan: Plan, family: SceneLadder, search: LimitSearch, how: How) -> None:
         from nw_eval.engine.machine import worker_count
 
+        self._plan = plan
         self._search = search
         self._workers = worker_count(how.workers, len(plan.trials))
         names = {found.reference: found.scene.name for found in plan.found}
@@ -297,8 +341,37 @@ class _Climb:
             if trial.place is not None
         }
         self._known = {place: trial for trial, place in self._places.items()}
-        self._told: set[int] = set()
+        self._rows: dict[int, Row] = {}
         self.errors = 0
+
+    def carry_out(self, how: How, out: Path) -> bool:
+        """Run what the search asks for; return whether a signal came first."""
+        from nw_eval.engine import session
+        from nw_gate.results.provenance import read_run_info
+
+        folder = session.carry_out(self._plan, how, out=out, comparison=self)
+        return read_run_info(folder.run_json).interrupted
+
+    def beside(self) -> list[tuple[Row, str]]:
+        """Return a completed trial at the hardest cleared rung, and a failed one behind it.
+
+        Each has its rung's value, for people. Where there is none at such a rung the nearest one
+        stands for it.
+        """
+        limit = self._search.limit
+        ends = dict(zip((True, False), limit.ends, strict=True))
+        found: list[tuple[Row, str]] = []
+        for completed, end in ends.items():
+            rows = [
+                (abs(rung - end), place, rung)
+                for place in self._counted()
+                if self._rows[place].completed is completed
+                for rung in [self._known[place].rung]
+            ]
+            if rows:
+                _, place, rung = min(rows)
+                found.append((self._rows[place], limit.ladder.says(limit.ladder.rungs[rung])))
+        return found
 
     def __enter__(self) -> Self:
         return self
@@ -313,9 +386,8 @@ class _Climb:
 
     def next(self, ended: Mapping[int, Row]) -> RunStanding:
         """Return which trials count so far, and which are needed next."""
-        for place in sorted(ended.keys() - self._told):
-            self._told.add(place)
-            row = ended[place]
+        for place in sorted(ended.keys() - self._rows.keys()):
+            row = self._rows[place] = ended[place]
             if row.status == "ok":
                 self._search.tell(self._known[place], row.completed)
             else:

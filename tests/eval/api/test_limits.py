@@ -2,14 +2,18 @@
 
 import json
 import shutil
+from io import BytesIO
 
 import pytest
+from PIL import Image, ImageSequence
 
-from nw_base.errors import SceneError, UsageError
+from nw_base.errors import IncomparableError, SceneError, UsageError
 from nw_eval import api
+from nw_eval.api import climbing
 from nw_eval.api.climbing import _folder_names
 from nw_eval.cli import main
 from nw_eval.engine.listener import NullListener
+from nw_eval.reporting.markdown import render_markdown
 from nw_gate.limits.limit import Limit
 from nw_gate.results.row import rows_digest
 from nw_policies import find_card
@@ -44,7 +48,20 @@ def test_the_trials_of_a_search_are_a_run_that_can_be_judged_again(standing):
     assert {row.status for row in rows} == {"ok"}
     assert not any(row.completed for row in rows)
     assert all(row.scene.startswith("stairs/up@") for row in rows)
-    assert api.report(each.run).verdict.verdict == "RAN"
+
+
+def test_a_report_of_a_search_claims_no_success_and_its_trials_can_be_verified(standing):
+    (each,) = standing.limits
+    judged = api.report(each.run)
+    assert (judged.verdict.verdict, judged.verdict.success) == ("RAN", None)
+    assert any("limits.md" in reason for reason in judged.verdict.reasons)
+    page = render_markdown(judged.info, judged.rows, judged.verdict, each.run)
+    assert "success is" not in page
+    verified = api.verify(each.run, trials=1, workers=1)
+    assert len(verified.repeats.trials) == 1
+    assert verified.is_as_it_was
+    with pytest.raises(IncomparableError, match="`nw-eval limits` chose its trials"):
+        api.run(resume=each.run)
 
 
 def test_two_workers_find_the_same_limit_by_the_same_trials(standing, tmp_path):
@@ -62,6 +79,40 @@ def test_the_files_say_what_was_found(standing):
     assert "cleared: <strong>none</strong>, not cleared: <strong>0.1\u00a0m</strong>" in page
     table = " ".join((standing.out / "limits.md").read_text().split())
     assert "| stairs/up | stand | none | 0.1 m |" in table
+
+
+def test_the_page_shows_a_trial_on_either_side_of_the_limit_and_stays_light(tmp_path):
+    found = api.limits(["stairs/up"], policy="go1-parkour", trials=8, out=tmp_path / "new")
+    (each,) = found.limits
+    says = [film.says for film in each.films]
+    assert [text.endswith(": completed") for text in says] == [True, False]
+    easier, harder = (float(text.split()[0]) for text in says)
+    assert easier < harder
+    for film in each.films:
+        moving = Image.open(BytesIO(film.film.data))
+        assert moving.n_frames > 10
+        assert len({frame.tobytes() for frame in ImageSequence.Iterator(moving)}) > 5
+    page = (found.out / "limits.html").read_bytes()
+    assert page.count(b"data:image/webp") == 4  # A still and a film of each.
+    assert len(page) < 300_000
+
+
+def test_films_are_left_out_where_nobody_wants_them_or_they_cannot_be_drawn(
+    standing, tmp_path, monkeypatch
+):
+    (each,) = standing.limits
+    assert [film.says.split()[0] for film in each.films] == ["0.1"]  # None was completed.
+    without = api.limits(
+        ["stairs/up"], policy="stand", films=False, out=tmp_path / "without", workers=1
+    )
+    assert not without.limits[0].films
+    assert b"data:image" not in (without.out / "limits.html").read_bytes()
+
+    monkeypatch.setattr(climbing, "_FILMS_SECONDS", 0.0)
+    late = api.limits(["stairs/up"], policy="stand", seed=2, out=tmp_path / "late", workers=1)
+    assert late.limits[0].limit.decided
+    assert not late.limits[0].films
+    assert "Films of stairs/up are missing: " in (late.out / "limits.html").read_text()
 
 
 def test_rungs_of_a_perturbation_are_climbed_in_one_scene(tmp_path):

@@ -53,6 +53,8 @@ class Limits:
     workers: Workers = None
     no_cache: NoCache = False
     allow_code: AllowCode = False
+    no_films: bool = False
+    """Do not show a trial on either side of each limit on the page, which takes some seconds."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -76,6 +78,7 @@ class Limits:
                 seed=self.seed,
                 out=self.out,
                 allow_code=self.allow_code,
+                films=not self.no_films,
                 workers=self.workers,
                 cache=not self.no_cache,
                 listener=progress,

@@ -38,7 +38,6 @@ def render(template: str, **values: Any) -> str:
         script=Markup(script),  # noqa: S704 - A file of ours.
         leave=f"default-src 'none'; style-src {_hash(style)}; script-src {_hash(script)}; "
         "img-src data:; base-uri 'none'; form-action 'none'; require-trusted-types-for 'script'",
-        data_uri=data_uri,
         **values,
     )
 
@@ -60,6 +59,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.globals["data_uri"] = data_uri
     environment.filters["typed"] = _typed
     environment.filters["coded"] = _coded
     return environment
