@@ -100,7 +100,7 @@ def limits(
         allow_code: allow Python code of the policy's card (confined).
         films: show a trial on either side of each limit on the page; this takes some seconds for
             each ladder, after all limits are found.
-        how: fields of `How` by name: workers, cache, listener.
+        how: fields of `How` by name: workers, cache, listener, labels.
 
     Raises:
         UsageError: there is no such ladder, or an option cannot be used; nothing was run.
@@ -109,7 +109,7 @@ def limits(
     """
     from nw_sim.rollout.confined.start import prepare
 
-    means = How.of(how, "workers", "cache", "listener")
+    means = How.of(how, "workers", "cache", "listener", "labels")
     if seed < 0:
         raise UsageError(f"--seed {seed} is below 0", fix="give 0 or more")
     families = _families(ladders)

@@ -1,6 +1,7 @@
 """A search for limits from ladder to page, with policies that stand and walk."""
 
 import json
+import re
 import shutil
 from io import BytesIO
 
@@ -113,6 +114,56 @@ def test_films_are_left_out_where_nobody_wants_them_or_they_cannot_be_drawn(
     assert late.limits[0].limit.decided
     assert not late.limits[0].films
     assert "Films of stairs/up are missing: " in (late.out / "limits.html").read_text()
+
+
+def test_pages_over_runs_draw_limits_over_training_steps_and_the_board_has_a_column(tmp_path):
+    for step in (100, 200):
+        api.limits(
+            ["stairs/up"],
+            policy="stand",
+            out=tmp_path / "reports" / f"limits-{step}",
+            labels={"step": str(step), "training_run": "may"},
+            films=False,
+            workers=1,
+        )
+    folders = sorted((tmp_path / "reports").iterdir())
+    listed = api.index_runs(folders, out=tmp_path / "index.html", pictures=False)
+    assert not listed.unread
+    page = listed.page.read_text()
+    assert "five steps up: rise of the steps, m, by training step" in page
+    assert page.count(": easier than 0.1\u00a0m</title>") == 2
+    assert page.count('data-of="not cleared at">0.1\u00a0m</td>') == 2
+    linked = {tmp_path / link for link in re.findall(r'href="([^"#]+limits.html)"', page)}
+    assert len(linked) == 2
+    assert all(link.is_file() for link in linked)
+
+    site = api.write_site(folders, tmp_path / "site", pictures=False)
+    assert not site.left_out
+    (cell,) = re.findall(
+        r'data-of="stairs/up"><a href="([^"]+)">([^<]+)</a>', site.page.read_text()
+    )
+    assert cell[1] == "easier than 0.1\u00a0m"
+    assert (tmp_path / "site" / cell[0]).is_file()
+
+
+def test_limits_that_are_not_those_of_their_trials_are_named_and_not_shown(standing, tmp_path):
+    other = shutil.copytree(standing.out, tmp_path / "other")
+    saved = json.loads((other / "limits.json").read_text())
+    saved["limits"][0]["limit"]["trials"] = [[0, 1]] * 30
+    (other / "limits.json").write_text(json.dumps(saved))
+    damaged = shutil.copytree(standing.out, tmp_path / "damaged")
+    (damaged / "limits.json").write_text("{")
+    outside = shutil.copytree(standing.out, tmp_path / "outside")
+    saved["limits"][0]["run"] = "../damaged/stairs-up/1"
+    (outside / "limits.json").write_text(json.dumps(saved))
+    listed = api.index_runs([other, damaged, outside], out=tmp_path / "index.html", pictures=False)
+    assert listed.exit_code == 4
+    other_says, damaged_says, outside_says = listed.unread
+    assert "other: the limit on stairs/up is not of the trials of 1" in other_says
+    assert "damaged: " in damaged_says
+    assert "limits.json cannot be read" in damaged_says
+    assert "outside: " in outside_says
+    assert "or harder" not in listed.page.read_text()
 
 
 def test_rungs_of_a_perturbation_are_climbed_in_one_scene(tmp_path):
