@@ -47,6 +47,7 @@ def parts() -> Mapping[str, Callable[[], str]]:
         "policy keys": lambda: keys("policy"),
         "scene keys": lambda: keys("scene", level=3),
         "collision keys": lambda: keys("collision", level=3),
+        "ladder keys": lambda: keys("ladder", level=3),
         "robot keys": lambda: keys("robot"),
         "columns": columns,
         "topics": topics,

@@ -18,7 +18,7 @@ from importlib import import_module
 
 TYPE_CHECKING = False  # As of `typing`, which takes longer to import than all else here.
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 
 def homes(stub: str) -> dict[str, str]:
@@ -39,17 +39,26 @@ def homes(stub: str) -> dict[str, str]:
 
 
 def public_names(
-    package: str, file: str
+    package: str, file: str, renamed: Mapping[str, str] | None = None
 ) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
     """Return `__getattr__`, `__dir__` and `__all__` of a package.
 
     Args:
         package: its `__name__`.
         file: its `__file__`; beside it lies the stub, `__init__.pyi`.
+        renamed: names by earlier ones, which are understood for one release. Whoever uses an
+            earlier one gets a `DeprecationWarning` that says the new one.
     """
+    earlier = renamed or {}
     known = homes(f"{file}i")
 
     def get(name: str) -> object:
+        if name in earlier:
+            from warnings import warn
+
+            now = earlier[name]
+            warn(f"{package}.{name} is now {package}.{now}", DeprecationWarning, stacklevel=2)
+            return getattr(sys.modules[package], now)
         if name not in known:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         value = getattr(import_module(known[name]), name)

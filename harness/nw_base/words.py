@@ -47,7 +47,7 @@ Tracker = Literal["wandb", "mlflow", "tensorboard"]
 UpAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 """Which way is up in a splat's frame; trainers leave it at -y, aligned scenes have +z."""
 
-Described = Literal["suite", "policy", "scene", "collision"]
+Described = Literal["suite", "policy", "scene", "collision", "ladder"]
 """Files that people write and a JSON Schema describes; `collision` is a scene's file of boxes."""
 
 PanelKind = Literal["pinned", "fresh"]

@@ -10,4 +10,7 @@ are kept.
 
 from nw_base.public import public_names
 
-__getattr__, __dir__, __all__ = public_names(__name__, __file__)  # pyright: ignore[reportUnsupportedDunderAll]
+_RENAMED = {"Limits": "JudgeSettings"}
+"""Earlier names, which are understood for one release."""
+
+__getattr__, __dir__, __all__ = public_names(__name__, __file__, _RENAMED)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -12,7 +12,7 @@ from typing import Any
 from nw_base import __version__
 from nw_base.errors import NwEvalError, UsageError
 from nw_gate.episodes import Columns, read_evaluation
-from nw_gate.judgement import Judgement, Limits, judge
+from nw_gate.judgement import Judgement, JudgeSettings, judge
 
 _EXIT = "exit codes: 0 PASS, 1 REGRESSED, 2 wrong usage or file, 3 INCONCLUSIVE, 5 not comparable"
 
@@ -44,7 +44,7 @@ def _parser() -> argparse.ArgumentParser:
         ".eval), averages of robomimic.",
         epilog=_EXIT,
     )
-    add, limits = verb.add_argument, Limits()
+    add, limits = verb.add_argument, JudgeSettings()
     add("new", metavar="NEW", help="the candidate's episodes")
     add("--baseline", metavar="OLD", help="the episodes of what it is compared with")
     add("--bar", type=float, help="mean score that must be reached by itself, 0 to 1")
@@ -83,7 +83,7 @@ def _judge(given: argparse.Namespace) -> str:
         part=given.baseline_part,
         span=span,
     )
-    limits = Limits(
+    limits = JudgeSettings(
         max_drop=given.max_drop,
         tolerate=given.tolerate,
         task_drop=given.task_drop,

@@ -46,7 +46,7 @@ Scored = tuple[str | None, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class JudgeSettings:
     """What must be shown.
 
     Attributes:
@@ -147,7 +147,7 @@ class Judgement:
 
 
 def judge(
-    new: Evaluation, baseline: Evaluation | None = None, limits: Limits | None = None
+    new: Evaluation, baseline: Evaluation | None = None, limits: JudgeSettings | None = None
 ) -> Judgement:
     """Judge a candidate's episodes, by a baseline's, by a bar, or both.
 
@@ -163,7 +163,7 @@ def judge(
         UsageError: there is neither a baseline nor a bar.
         IncomparableError: the two have no task in common, or not the same ones.
     """
-    limits = limits or Limits()
+    limits = limits or JudgeSettings()
     check_confidence(limits.confidence)
     if baseline is None and limits.bar is None:
         raise UsageError("there is nothing to judge by", fix="name a baseline or a bar")
@@ -292,7 +292,7 @@ def _paired(
     return whole, "start" if by_start else "order"
 
 
-def _rounds(groups: Sequence[Values], limits: Limits) -> tuple[GateWord, int | None]:
+def _rounds(groups: Sequence[Values], limits: JudgeSettings) -> tuple[GateWord, int | None]:
     """Return which claim is refuted first, and after how many rounds; groups have one length."""
     values = np.stack(groups)
     passed = _first(values, (1.0 - limits.max_drop) / 2.0, 1.0 - limits.confidence)
@@ -317,7 +317,7 @@ def _first(values: Values, mean: float, error: float) -> int | None:
     return int(refuted[0]) + 1 if len(refuted) else None
 
 
-def _order_words(word: GateWord, drop: float, limits: Limits, rounds: int | None) -> str:
+def _order_words(word: GateWord, drop: float, limits: JudgeSettings, rounds: int | None) -> str:
     """Return why the first episodes decide nothing where all of them say the opposite."""
     limit = f"max_drop {limits.max_drop:g}" if word == "PASS" else f"tolerate {limits.tolerate:g}"
     return (
@@ -327,7 +327,7 @@ def _order_words(word: GateWord, drop: float, limits: Limits, rounds: int | None
     )
 
 
-def _drop_words(word: GateWord, drop: float, interval: Interval, limits: Limits) -> str:
+def _drop_words(word: GateWord, drop: float, interval: Interval, limits: JudgeSettings) -> str:
     said = f"the drop is {drop:+.3f}"
     # Rounded to three digits, an end beside a margin would contradict the verdict.
     if word == "PASS" and float(f"{interval.high:.3f}") >= limits.max_drop:
@@ -346,7 +346,7 @@ def _drop_words(word: GateWord, drop: float, interval: Interval, limits: Limits)
 
 
 def _fallen(
-    means: Mapping[str, tuple[float, float | None, int, bool]], limits: Limits
+    means: Mapping[str, tuple[float, float | None, int, bool]], limits: JudgeSettings
 ) -> Iterator[tuple[GateWord | None, str]]:
     """Yield what to say of each task that fell; a critical one decides the verdict."""
     for task, (candidate, baseline, _, fell) in sorted(means.items()):
@@ -356,7 +356,7 @@ def _fallen(
             yield ("REGRESSED", f"{said}, and is critical") if is_critical else (None, said)
 
 
-def _by_bar(groups: Mapping[str, Sequence[Scored]], limits: Limits) -> tuple[GateWord, str]:
+def _by_bar(groups: Mapping[str, Sequence[Scored]], limits: JudgeSettings) -> tuple[GateWord, str]:
     assert limits.bar is not None, "whoever calls has one"
     rounds = min(map(len, groups.values()))
     values = [np.array([score for _, score in group[:rounds]]) for group in groups.values()]

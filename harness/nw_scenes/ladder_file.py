@@ -5,14 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from nw_base.clean import clean
 from nw_base.errors import SceneError
 from nw_base.files.inside import OutsideError, inside, what_is
-from nw_base.files.yaml_file import YamlProblems, read_yaml, validation_problems
+from nw_base.files.yaml_file import (
+    YamlProblems,
+    json_schema_of,
+    read_yaml,
+    validation_problems,
+)
 from nw_scenes.limits import checked_name
 
 LADDER_FILE = "ladder.yaml"
@@ -62,6 +67,11 @@ class _LadderFile(_Model):
         if any(later - before <= _SAME for before, later in pairwise(values)):
             raise ValueError("the values of rungs are not in ascending order, each once; sort them")
         return self
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema of `ladder.yaml`."""
+    return json_schema_of(_LadderFile) | {"title": "nw-eval ladder"}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -106,7 +106,7 @@ def test_options_have_their_defaults_and_words(verbs: str, sections: dict[str, s
 
 
 SCHEMAS = {
-    **{kind: api.schema(kind) for kind in ("suite", "policy", "scene", "collision")},
+    **{kind: api.schema(kind) for kind in ("suite", "policy", "scene", "collision", "ladder")},
     "robot": json_schema_of(RobotFile),
 }
 

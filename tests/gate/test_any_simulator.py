@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from nw_base.errors import IncomparableError, UsageError
-from nw_gate import Columns, Episode, Evaluation, Limits, judge, read_evaluation
+from nw_gate import Columns, Episode, Evaluation, JudgeSettings, judge, read_evaluation
 from nw_gate.cli import main
 from nw_gate.stats.betting import evidence_above
 
@@ -255,7 +255,7 @@ def test_large_differences_are_found_early_and_equal_policies_pass():
 def test_a_task_that_fell_is_named_and_a_critical_one_decides(critical, word):
     rng = np.random.default_rng(2)
     new, old = drawn([0.9, 0.0], 40, rng), drawn([0.0, 0.9], 40, rng)
-    found = judge(new, old, Limits(critical=critical))
+    found = judge(new, old, JudgeSettings(critical=critical))
     assert found.word == word
     (said,) = [why for why in found.reasons if "fell" in why]
     assert said.startswith("t1 fell by over 0.1: 0.") == ("to 0.000" in said) is True
@@ -290,7 +290,7 @@ def test_other_tasks_are_not_compared(tmp_path):
 def test_a_bar_is_judged_by_its_bounds_alone(bar, word):
     episodes = [Episode(task="t", score=float(i % 5 > 0), start=str(i)) for i in range(200)]
     new = Evaluation(name="n", score="success", episodes=tuple(episodes))
-    assert judge(new, limits=Limits(bar=bar)).word == word
+    assert judge(new, limits=JudgeSettings(bar=bar)).word == word
 
 
 def test_the_judgement_is_printed_as_a_table_or_as_json(tmp_path, capsys):

@@ -30,7 +30,7 @@ def test_both_files_have_a_schema_with_all_that_a_folder_can_say() -> None:
     assert set(box["required"]) == {"center", "half_size"}
 
 
-@pytest.mark.parametrize("kind", ["scene", "collision"])
+@pytest.mark.parametrize("kind", ["scene", "collision", "ladder"])
 def test_an_editor_can_explain_every_key_and_refuse_others(kind: str) -> None:
     schema = read(kind)
     for name, part in {kind: schema, **schema["$defs"]}.items():
@@ -48,7 +48,7 @@ def test_what_the_schema_calls_needed_is_enough(tmp_path) -> None:
     assert len(get_scene(tmp_path).solids) == 1
 
 
-@pytest.mark.parametrize("kind", ["suite", "policy", "scene", "collision"])
+@pytest.mark.parametrize("kind", ["suite", "policy", "scene", "collision", "ladder"])
 def test_the_command_writes_it(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as left:
         cli.main(["schema", kind])

@@ -11,15 +11,17 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from nw_base.errors import UsageError
+from nw_base.clean import clean
+from nw_base.errors import NwEvalError, UsageError
 from nw_base.files.cache import atomic_path
-from nw_eval.api.ladder_runs import climb, folder_names, ladder_plan, rungs_ladder, title_of
+from nw_eval.api.ladder_runs import Climb, folder_names, ladder_plan, rungs_ladder, title_of
 from nw_eval.api.paths import as_path
 from nw_eval.api.sweeping import result_folder
 from nw_eval.engine.how import How
-from nw_eval.reporting.html.limits import LadderLimit, write_limits
+from nw_eval.reporting.html.limits import LadderLimit, RungFilm, film_bytes, write_limits
 from nw_gate.limits.find import LimitSearch
 from nw_gate.results.request import Request
 
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 
 MOST = 120
 """Trials of a ladder, at most: three measured ladders took 20 to 45."""
+_FILMS_SECONDS = 240.0
+"""Wall time of all films of a page, at most; those of a ladder take about three seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +62,7 @@ def limits(
     seed: int = 1,
     out: str | PathLike[str] | None = None,
     allow_code: bool = False,
+    films: bool = True,
     **how: Any,
 ) -> FoundLimits:
     """Find the hardest rung of each ladder that a policy still completes, with bounds.
@@ -80,7 +85,9 @@ def limits(
         seed: of the initial states.
         out: a new or empty folder (default: `reports/limits-<number>`).
         allow_code: allow Python code of the policy's card (confined).
-        how: fields of `How` by name: workers, cache, listener.
+        films: show a trial on either side of each limit on the page; this takes some seconds for
+            each ladder, after all limits are found.
+        how: fields of `How` by name: workers, cache, listener, labels.
 
     Raises:
         UsageError: there is no such ladder, or an option cannot be used; nothing was run.
@@ -89,7 +96,7 @@ def limits(
     """
     from nw_sim.rollout.confined.start import prepare
 
-    means = How.of(how, "workers", "cache", "listener")
+    means = How.of(how, "workers", "cache", "listener", "labels")
     if seed < 0:
         raise UsageError(f"--seed {seed} is below 0", fix="give 0 or more")
     families = _families(ladders)
@@ -117,7 +124,8 @@ def limits(
     folder = result_folder(as_path(out), "limits")
     names = folder_names([family.name for family in families])
     found: list[LadderLimit] = []
-    interrupted = False
+    results: list[Climb] = []
+    whole = FoundLimits(out=folder, limits=(), interrupted=False)
     climbs = [
         (family, label, planned, folder / name / f"{number}")
         for (family, both), name in zip(plans, names, strict=True)
@@ -125,7 +133,9 @@ def limits(
     ]
     for family, label, planned, run in climbs:
         search = _search(family, share, confidence, width, trials)
-        interrupted, errors = climb(planned, family, search, means, run)
+        climb = Climb(planned, family, search, means)
+        interrupted = climb.carry_out(run)
+        results.append(climb)
         found.append(
             LadderLimit(
                 policy=label,
@@ -133,16 +143,61 @@ def limits(
                 title=title_of(family),
                 limit=search.limit,
                 run=run,
-                errors=errors,
+                errors=climb.errors,
             )
         )
         # Written after each: what ends a later search costs no earlier one.
-        whole = FoundLimits(out=folder, limits=tuple(found), interrupted=interrupted)
+        whole = replace(whole, limits=tuple(found), interrupted=interrupted)
         _write_json(whole, folder / "limits.json")
         write_limits(whole.limits, folder)
         if interrupted:
-            break
-    return FoundLimits(out=folder, limits=tuple(found), interrupted=interrupted)
+            return whole
+    if films:
+        shown, remarks = _filmed(whole.limits, results, cache=means.cache)
+        whole = replace(whole, limits=shown)
+        write_limits(shown, folder, remarks)
+    return whole
+
+
+def _filmed(
+    limits: Sequence[LadderLimit], climbs: Sequence[Climb], *, cache: bool
+) -> tuple[tuple[LadderLimit, ...], tuple[str, ...]]:
+    """Return limits with films of the trials beside them, and sentences on what is not shown."""
+    from nw_eval.api.evidence import KeptEvidence
+    from nw_eval.api.evidence_drawn import film_of, films_of
+    from nw_gate.results.evidence_check import present_logs
+    from nw_gate.results.provenance import read_run_info
+    from nw_gate.results.run_folder import RunFolder
+
+    end, found = monotonic() + _FILMS_SECONDS, list[LadderLimit]()
+    missing: dict[str, str] = {}
+    for each, climb in zip(limits, climbs, strict=True):
+        shown = climb.beside()
+        folder = RunFolder(path=each.run)
+        try:
+            logs = present_logs(folder, [row for row, _ in shown])
+            known = [(row, value) for row, value in shown if row.trial_id in logs]
+            drawn = films_of(
+                [(logs[row.trial_id], row.scene) for row, _ in known],
+                each.run,
+                kept=KeptEvidence.of_run(read_run_info(folder.run_json)) if cache else None,
+                most_bytes=film_bytes(len(limits)),
+                seconds=end - monotonic(),
+            )
+        except (NwEvalError, OSError) as error:
+            missing[each.ladder] = clean(str(error), at_most=200)
+            found.append(each)
+            continue
+        films = [
+            RungFilm(says=f"{value}: {row.outcome}", film=film_of(clip), seconds=clip.seconds)
+            for (row, value), clip in zip(known, drawn, strict=True)
+            if clip is not None
+        ]
+        if len(films) < len(shown):
+            missing[each.ladder] = "a trial could not be drawn"
+        found.append(replace(each, films=tuple(films)))
+    remarks = [f"Films of {ladder} are missing: {why}." for ladder, why in missing.items()]
+    return tuple(found), tuple(remarks)
 
 
 def _labels(plans: Sequence[Plan]) -> list[str]:

@@ -18,12 +18,14 @@ if TYPE_CHECKING:
     from nw_gate.results.run_folder import RunFolder
 
 
-def continued(run: Path, request: Request) -> Plan:
+def continued(run: Path, request: Request, *, again: bool = False) -> Plan:
     """Return the plan that goes on with the run of a folder, from any directory.
 
     Args:
         run: the folder.
         request: what is asked for now; what it leaves out is as the run was begun.
+        again: whether trials that it has are to run again, and none of those that it lacks. This
+            can be done with the trials of a search, too.
 
     Raises:
         StoreError: it is not a run folder, or its run.json is damaged.
@@ -46,7 +48,8 @@ def continued(run: Path, request: Request) -> Plan:
             "holds no request",
             fix="start a new run without --resume",
         )
-    if info.drawn_for is not None and not (info.is_recheck or info.goes_by_rounds):
+    is_planned = info.is_recheck or info.goes_by_rounds or (again and info.is_search)
+    if info.drawn_for is not None and not is_planned:
         raise IncomparableError(
             f"cannot resume {run}: `nw-eval attribute` or `nw-eval limits` chose its trials",
             fix="run that command again; finished trials come from the cache",

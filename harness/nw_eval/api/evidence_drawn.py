@@ -138,7 +138,7 @@ def with_drawn(
             if place.scene in scenes and _is_ready(scenes[place.scene][1], rows, place.scene)
         ]
         also = [folder.path.resolve(), *(robot for robot in robots if robot is not None)]
-        films, pictures = _found_or_drawn(wanted, tops, scenes, kept, also)
+        films, pictures = _found_or_drawn(wanted, tops, scenes, kept, also, _Means())
     except (NwEvalError, OSError) as error:
         remark = f"Scenes and trials could not be drawn from outside: {error}."
         return replace(evidence, remarks=(*evidence.remarks, remark))
@@ -197,15 +197,65 @@ def _is_ready(scene: Scene, rows: Sequence[Row], name: str) -> bool:
     return scene.splat is None or is_seen
 
 
+def films_of(
+    logs: Sequence[tuple[Path, str]],
+    folder: Path,
+    *,
+    kept: KeptEvidence | None,
+    most_bytes: int,
+    seconds: float,
+) -> tuple[ReadClip | None, ...]:
+    """Return films of trials from outside, in the order of their logs; None for one that fails.
+
+    No Gaussians are made for them: where those of one scene are missing, meshes are drawn of all.
+
+    Args:
+        logs: of trials that this machine has run, each with the name of its scene.
+        folder: of the run.
+        kept: where to keep what was drawn; None = nowhere.
+        most_bytes: of one film.
+        seconds: wall time of all of them, at most.
+
+    Raises:
+        NwEvalError: a log or a scene cannot be opened, or the process that draws them failed.
+    """
+    from nw_sim.catalogue import open_scene
+    from nw_sim.rollout.replaying.logged import read_logged_trial
+
+    jobs = {name: read_logged_trial(path).job for path, name in logs}
+    scenes = {name: (job.scene, open_scene(job.scene, job.collision)) for name, job in jobs.items()}
+    robots = {job.robot_folder for job in jobs.values() if job.robot_folder is not None}
+    wanted = [WantedLog(path=path, scene=name, clip=True) for path, name in logs]
+    means = _Means(
+        most_bytes=most_bytes,
+        seconds=seconds,
+        meshes=not all(_is_ready(scene, (), name) for name, (_, scene) in scenes.items()),
+    )
+    also = [folder.resolve(), *sorted(robots)]
+    return _found_or_drawn(wanted, [], scenes, kept, also, means)[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Means:
+    """With what films are drawn."""
+
+    most_bytes: int = FILM_BYTES
+    seconds: float = _TIME_LIMIT
+    meshes: bool = False
+    """Whether scenes are drawn without their Gaussians."""
+
+
 def _found_or_drawn(
     wanted: Sequence[WantedLog],
     tops: Sequence[_Top],
     scenes: Mapping[str, tuple[str, Scene]],
     kept: KeptEvidence | None,
     also: Sequence[Path],
+    means: _Means,
 ) -> tuple[tuple[ReadClip | None, ...], dict[str, PlacePicture]]:
     """Return films of logs and pictures of scenes, drawn where they are not kept."""
-    key = "" if kept is None or not wanted else kept.key(wanted, {"film": FILM_BYTES})
+    room = {"film": means.most_bytes} | ({"meshes": 1} if means.meshes else {})
+    key = "" if kept is None or not wanted else kept.key(wanted, room)
     old = read_drawn(kept, key)
     films = None if old is None or len(old.films) != len(wanted) else old.films
     pictures: dict[str, bytes] = {}
@@ -217,7 +267,7 @@ def _found_or_drawn(
         else:
             pictures[top.name] = one.tops[0]
     if missing or (films is None and wanted):
-        drawn = drawn_apart([] if films is not None else wanted, missing, scenes, also)
+        drawn = drawn_apart([] if films is not None else wanted, missing, scenes, also, means)
         if films is None:
             films = drawn.films
             keep_drawn(kept, key, Drawn(films=films))
@@ -250,6 +300,7 @@ def drawn_apart(
     tops: Sequence[_Top],
     scenes: Mapping[str, tuple[str, Scene]],
     also: Sequence[Path],
+    means: _Means | None = None,
 ) -> Drawn:
     """Return films of logs and pictures of scenes, drawn by one confined process.
 
@@ -258,6 +309,7 @@ def drawn_apart(
         tops: scenes of which a picture from above is wanted.
         scenes: what opens each scene, and the scene, by name.
         also: folders that the process may read besides the scenes.
+        means: with what films are drawn; None = as those of a report.
 
     Raises:
         StoreError: the process gave no pictures.
@@ -267,17 +319,22 @@ def drawn_apart(
     from nw_sim.rollout.confined.access import drawing_rules
     from nw_sim.rollout.confined.isolated import call_isolated
 
+    means = means or _Means()
     used = {scenes[log.scene] for log in wanted} | {(top.reference, top.scene) for top in tops}
-    for _, scene in used:
-        scene.splat_stores()  # Their cache is out of reach there.
+    splats = any(scene.splat is not None for _, scene in used) and not means.meshes
+    if splats:
+        for _, scene in used:
+            scene.splat_stores()  # Their cache is out of reach there.
     answer = call_isolated(
         _draw,
         subject="the pictures of scenes",
         rules=drawing_rules(scenes=[reference for reference, _ in used], also=also),
-        time_limit=_TIME_LIMIT,
-        renders=("ray", "rays") if any(scene.splat is not None for _, scene in used) else ("rays",),
+        time_limit=means.seconds,
+        renders=("ray", "rays") if splats else ("rays",),
         logs=[(str(log.path.resolve()), log.waypoint) for log in wanted],
         tops=[(top.reference, list(top.box)) for top in tops],
+        most_bytes=means.most_bytes,
+        meshes=means.meshes,
     )
     try:
         drawn = Drawn.model_validate_json(str(answer))
@@ -306,31 +363,46 @@ def _picture(data: bytes, box: Box) -> PlacePicture:
     )
 
 
-def _draw(*, logs: Sequence[tuple[str, int]], tops: Sequence[tuple[str, Sequence[float]]]) -> str:
+def _draw(
+    *,
+    logs: Sequence[tuple[str, int]],
+    tops: Sequence[tuple[str, Sequence[float]]],
+    most_bytes: int,
+    meshes: bool,
+) -> str:
     """Return JSON of `Drawn`; in a confined process.
 
     Args:
         logs: the path of each, and the waypoint until which its film goes; 0 = until its end.
         tops: what opens each scene, and its box.
+        most_bytes: of one film.
+        meshes: whether films show scenes without their Gaussians.
     """
     from nw_sim.rollout.library import Library
 
     library = Library()
     drawn = Drawn(
-        films=tuple(_film_or_none(Path(log), library, waypoint) for log, waypoint in logs),
+        films=tuple(
+            _film_or_none(Path(log), library, waypoint, most_bytes, meshes=meshes)
+            for log, waypoint in logs
+        ),
         tops=tuple(_from_above(library.scene(reference), box) for reference, box in tops),
     )
     return drawn.model_dump_json()
 
 
-def _film_or_none(path: Path, library: Library, waypoint: int) -> ReadClip | None:
+def _film_or_none(
+    path: Path, library: Library, waypoint: int, most_bytes: int, *, meshes: bool
+) -> ReadClip | None:
     try:
-        return _filmed(path, library, waypoint)
+        return _filmed(path, library, waypoint, most_bytes, meshes=meshes)
     except Exception:  # noqa: BLE001 - A log that cannot be drawn costs its own film alone.
         return None
 
 
-def _filmed(path: Path, library: Library, waypoint: int) -> ReadClip | None:
+def _filmed(
+    path: Path, library: Library, waypoint: int, most_bytes: int, *, meshes: bool
+) -> ReadClip | None:
     """Return seconds of a trial from behind the robot's shoulder; None without states.
 
     They are the last ones, or those until shortly after a waypoint was reached.
@@ -353,14 +425,15 @@ def _filmed(path: Path, library: Library, waypoint: int) -> ReadClip | None:
             return None
         times = [state.step / logged.control_rate for state in states]
         end = min(times[-1], _reached(logged.log, waypoint) + _AFTER) if waypoint else times[-1]
-        spectator = Spectator(trial.scene, None if trial.scene.splat is None else trial.shown())
+        is_mesh = meshes or trial.scene.splat is None
+        spectator = Spectator(trial.scene, None if is_mesh else trial.shown())
         for time, pose in _poses(logged.log, end, world.robot.joints).items():
             # What moves besides the robot is where it was at the last state.
             world.restore(states[max(0, bisect_right(times, time + 1e-6) - 1)].world)
             world.pose(*pose)
             view = spectator.beside(world, trail, width=width, height=height)
             frames.append((time, sized(Image.fromarray(view))))
-    return clip_of(frames, topic="", end=end, most_bytes=FILM_BYTES) if frames else None
+    return clip_of(frames, topic="", end=end, most_bytes=most_bytes) if frames else None
 
 
 def _reached(log: LogReader, waypoint: int) -> float:

@@ -149,6 +149,7 @@ def _with_all_trials(found: Plan, each: int) -> Plan:
     from nw_eval.engine.plan import DrawnOrder
     from nw_eval.suite import expand
     from nw_gate.baseline.match import draw_trials
+    from nw_gate.results.provenance import search_key
 
     key = policy_info(found.bundle).key
     strata = [(scene.name, cell) for scene in found.scenes for cell in found.suite.perturb.cells]
@@ -156,7 +157,7 @@ def _with_all_trials(found: Plan, each: int) -> Plan:
     return replace(
         found,
         trials=expand(found.suite, found.scenes, order),
-        drawn=DrawnOrder(starts=each, candidate=key),
+        drawn=DrawnOrder(starts=each, candidate=search_key(key)),
     )
 
 
@@ -164,26 +165,6 @@ def rung_cells(plan: Plan, family: SceneLadder) -> list[Stratum]:
     """Return the scene of each rung, by the name that rows have, and what is changed there."""
     names = {found.reference: found.scene.name for found in plan.found}
     return [(names.get(rung.scene, rung.scene), rung.perturbation) for rung in family.rungs]
-
-
-def climb(
-    plan: Plan, family: SceneLadder, search: TrialPath, how: How, out: Path
-) -> tuple[bool, int]:
-    """Run what a search asks for; return whether a signal came first, and how many errors.
-
-    A folder that holds a part of such a run is gone on with.
-    """
-    from nw_base.files.inside import what_is
-    from nw_eval.engine import session
-    from nw_gate.results.provenance import read_run_info
-
-    how = replace(how, listener=_AtMost(how.told, search.most))
-    climb = Climb(plan, family, search, how)
-    begun = out if what_is(out / "run.json") == "file" else None
-    folder = session.carry_out(
-        plan, how, out=None if begun else out, resume=begun, comparison=climb
-    )
-    return read_run_info(folder.run_json).interrupted, climb.errors
 
 
 class _AtMost:
@@ -204,12 +185,23 @@ class _AtMost:
 
 
 class Climb:
-    """A search, as `engine.session` asks it what comes next."""
+    """A search, as `engine.session` asks it what comes next.
+
+    Args:
+        plan: of all trials that may be asked for.
+        family: the ladder.
+        search: asks for trials.
+        how: how they run.
+    """
+
+    errors = 0
+    """Trials that ended in an error of the machine."""
 
     def __init__(self, plan: Plan, family: SceneLadder, search: TrialPath, how: How) -> None:
         from nw_eval.engine.machine import worker_count
 
-        self._search = search
+        self._plan, self._search = plan, search
+        self._how = replace(how, listener=_AtMost(how.told, search.most))
         self._workers = worker_count(how.workers, len(plan.trials))
         rungs = {rung: number for number, rung in enumerate(rung_cells(plan, family))}
         self._places = {
@@ -218,8 +210,38 @@ class Climb:
             if trial.place is not None
         }
         self._known = {place: trial for trial, place in self._places.items()}
-        self._told: set[int] = set()
-        self.errors = 0
+        self._rows: dict[int, Row] = {}
+
+    def carry_out(self, out: Path) -> bool:
+        """Run what is asked for, from where a run in the folder stopped; whether a signal came."""
+        from nw_base.files.inside import what_is
+        from nw_eval.engine import session
+        from nw_gate.results.provenance import read_run_info
+
+        begun = out if what_is(out / "run.json") == "file" else None
+        folder = session.carry_out(
+            self._plan, self._how, out=None if begun else out, resume=begun, comparison=self
+        )
+        return read_run_info(folder.run_json).interrupted
+
+    def beside(self) -> list[tuple[Row, str]]:
+        """Return a completed trial at the hardest cleared rung, and a failed one behind it.
+
+        Each has its rung's value, for people. Where there is none at such a rung the nearest one
+        stands for it.
+        """
+        limit = self._search.limit
+        found: list[tuple[Row, str]] = []
+        for completed, end in zip((True, False), limit.ends, strict=True):
+            rows = [
+                (abs(trial.rung - end), self._places[trial], trial.rung)
+                for trial in self._search.counted
+                if self._rows[self._places[trial]].completed is completed
+            ]
+            if rows:
+                _, place, rung = min(rows)
+                found.append((self._rows[place], limit.ladder.says(limit.ladder.rungs[rung])))
+        return found
 
     def __enter__(self) -> Self:
         return self
@@ -234,9 +256,8 @@ class Climb:
 
     def next(self, ended: Mapping[int, Row]) -> RunStanding:
         """Return which trials count so far, and which are needed next."""
-        for place in sorted(ended.keys() - self._told):
-            self._told.add(place)
-            row = ended[place]
+        for place in sorted(ended.keys() - self._rows.keys()):
+            row = self._rows[place] = ended[place]
             if row.status == "ok":
                 self._search.tell(self._known[place], row.completed)
             else:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from nw_base.errors import TrialError
 from nw_base.files.cache import atomic_path
-from nw_eval.api.ladder_runs import climb, ladder_plan_of_run, rung_cells, title_of
+from nw_eval.api.ladder_runs import Climb, ladder_plan_of_run, rung_cells, title_of
 from nw_eval.api.limit_gates import (
     MOST_SAVED,
     asked_ladders,
@@ -120,10 +120,10 @@ def baseline_limits(
             continue
         search = baseline_search(gated_ladder(family), asked.share)
         how.told.message(f"ladder {name}: its limit is measured for the baseline")
-        interrupted, errors = climb(own, family, search, how, at)
-        if interrupted:
+        climb = Climb(own, family, search, how)
+        if climb.carry_out(at):
             raise KeyboardInterrupt
-        if errors:
+        if climb.errors:
             raise TrialError(
                 f"ladder {name}: a trial has no result", fix=f"see {at}, and save again"
             )
@@ -221,7 +221,7 @@ def _climbed(plan: Plan, family: SceneLadder, path: TrialPath, how: How, out: Pa
         "rungs": [rung.value for rung in family.rungs],
         "cells": [[scene, dict(cell)] for scene, cell in rung_cells(plan, family)],
     }
-    interrupted, _ = climb(plan, family, path, how, out)
+    interrupted = Climb(plan, family, path, how).carry_out(out)
     with atomic_path(out / "ladder.json") as temporary:
         temporary.write_text(json.dumps(ladder, indent=1) + "\n", encoding="utf-8")
     return interrupted

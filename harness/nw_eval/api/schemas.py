@@ -13,10 +13,11 @@ if TYPE_CHECKING:
 
 
 def schema(kind: Described, *, out: str | PathLike[str] | None = None) -> dict[str, Any]:
-    """Return the JSON Schema of suites, cards, `scene.yaml`, or a scene's file of boxes.
+    """Return the JSON Schema of suites, cards, `scene.yaml`, a scene's boxes, or `ladder.yaml`.
 
     Args:
-        kind: the kind of file: a suite, a policy card, scene.yaml, or a scene's box file.
+        kind: the kind of file: a suite, a policy card, scene.yaml, a scene's box file, or
+            ladder.yaml.
         out: also write it here as JSON (default: write none).
 
     Raises:
@@ -41,6 +42,10 @@ def _schema(kind: Described) -> dict[str, Any]:
         from nw_policies.cards.load import json_schema as of_card
 
         return of_card()
+    if kind == "ladder":
+        from nw_scenes.ladder_file import json_schema as of_ladder
+
+        return of_ladder()
     from nw_scenes.folder import json_schema as of_scene
 
     return of_scene(kind)

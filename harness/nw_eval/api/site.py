@@ -24,6 +24,7 @@ from nw_base.files.cache import (
     atomic_path,
     followed,
     is_stream,
+    made_place,
     private_dir,
     read_sealed,
     sealed_path,
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
     from nw_eval.api.reports import RunReport
     from nw_eval.reporting.html.board import BoardSection
-    from nw_eval.reporting.html.runs import ListedRun
+    from nw_eval.reporting.html.runs import ListedLimit, ListedRun
     from nw_gate.results.provenance import RunInfo
     from nw_gate.side_by_side import Entrant, PolicyComparison
     from nw_scenes.scene import Scene
@@ -87,7 +88,7 @@ def index_runs(
     written beside the page: of `index.html`, `badge.json` and `badge-SUITE.json`.
 
     Args:
-        runs: their folders.
+        runs: their folders, and those of `nw-eval limits`.
         out: where to write the page (default: `index.html` in the folder that contains all runs).
         title: of the page (default: the number of runs).
         pictures: whether built-in scenes are drawn, by their splats.
@@ -101,8 +102,8 @@ def index_runs(
     from nw_eval.reporting.markdown import write_report
 
     out = as_path(out)
-    folders, skipped = _folders(runs, "list")
-    page = Path(os.path.commonpath([folder.parent for folder in folders])) / PAGE
+    folders, climbed, skipped = _folders(runs, "list")
+    page = Path(os.path.commonpath([folder.parent for folder in (*folders, *climbed)])) / PAGE
     page = out or page
     judged: list[RunReport] = []
     listed: list[ListedRun] = []
@@ -116,7 +117,8 @@ def index_runs(
         else:
             judged.append(run)
     drawn = _Pictures(draws=pictures).of_runs(judged)
-    text = render_index(listed, unread, title=title or "", pictures=drawn)
+    limits = _listed_limits(climbed, page, f"{page.stem}-runs", unread)
+    text = render_index(listed, unread, title=title or "", pictures=drawn, limits=limits)
     write_report(page if out is None else followed(page), text)
     stem = BADGE if page.stem == "index" else f"{page.stem}-{BADGE}"
     badges = () if is_stream(page) else _badges(listed, page.parent, stem)
@@ -125,18 +127,25 @@ def index_runs(
     )
 
 
-def _folders(runs: Sequence[str | Path], what: str) -> tuple[list[Path], tuple[Path, ...]]:
-    """Return the folders of runs, each once, and what is there and is no run.
+def _folders(
+    runs: Sequence[str | Path], what: str
+) -> tuple[list[Path], list[Path], tuple[Path, ...]]:
+    """Return the folders of runs, those of limits, each once, and what is there and is neither.
 
     Raises:
-        UsageError: one does not exist, or none is a run's folder.
+        UsageError: one does not exist, or none is a run's or of limits.
     """
+    from nw_eval.api.saved_limits import is_limits
     from nw_gate.results.run_folder import find_run_folder
 
     folders: dict[Path, None] = {}
+    limits: dict[Path, None] = {}
     skipped: list[Path] = []
     fault = UsageError(f"no run to {what}", fix="name the folders of some")
     for path in map(Path, runs):
+        if is_limits(path):
+            limits[path.resolve()] = None
+            continue
         try:
             folders[find_run_folder(path).path.resolve()] = None
         except UsageError as error:
@@ -144,9 +153,9 @@ def _folders(runs: Sequence[str | Path], what: str) -> tuple[list[Path], tuple[P
                 raise
             fault = error
             skipped.append(path)
-    if not folders:
+    if not folders and not limits:
         raise fault
-    return list(folders), tuple(skipped)
+    return list(folders), list(limits), tuple(skipped)
 
 
 def _listed(judged: RunReport, page: Path) -> ListedRun:
@@ -165,6 +174,48 @@ def _listed(judged: RunReport, page: Path) -> ListedRun:
         info=judged.info,
         verdict=judged.verdict,
     )
+
+
+def _listed_limits(
+    folders: Sequence[Path], page: Path, beside: str, unread: list[str]
+) -> list[ListedLimit]:
+    """Return the limits of folders, once a page of each is written beside the page of all.
+
+    Args:
+        folders: that `nw-eval limits` wrote.
+        page: of all.
+        beside: the name of the folder beside it that has the pages.
+        unread: gets a sentence on each folder that cannot be read.
+    """
+    from nw_eval.api.reports import fault_of
+    from nw_eval.api.saved_limits import read_limits
+    from nw_eval.reporting.html.limits import write_limits
+    from nw_eval.reporting.html.runs import ListedLimit, ListedRun
+
+    found: list[ListedLimit] = []
+    for folder in folders:
+        digest = sha256(os.fsencode(folder)).hexdigest()[:8]
+        name = f"{re.sub(r'[^A-Za-z0-9_-]+', '-', folder.name)[:80]}-{digest}"
+        try:
+            limits = read_limits(folder)
+            made_place(page.with_name(beside) / name)
+            write_limits([each for each, _ in limits], page.with_name(beside) / name)
+        except Exception as error:  # noqa: BLE001 - As for a run.
+            unread.append(f"{clean(folder.name)}: {fault_of(error)}")
+            continue
+        href = quote(f"{beside}/{name}/limits.html")
+        found += [
+            ListedLimit(
+                run=ListedRun(
+                    folder=folder.name, href=href, info=judged.info, verdict=judged.verdict
+                ),
+                ladder=each.ladder,
+                title=each.title,
+                limit=each.limit,
+            )
+            for each, judged in limits
+        ]
+    return found
 
 
 def _badges(runs: Sequence[ListedRun], folder: Path, stem: str) -> tuple[Path, ...]:
@@ -222,7 +273,7 @@ def write_site(
     The same runs give the same bytes. A site that is there already is replaced; nothing else is.
 
     Args:
-        runs: their folders, in any order.
+        runs: their folders, and those of `nw-eval limits`, in any order.
         out: a folder: new, empty, or a site of ours.
         title: of the page.
         confidence: of each interval alone; of all ranks of a suite together.
@@ -240,7 +291,7 @@ def write_site(
     from nw_eval.reporting.markdown import write_report
 
     check_share(confidence)
-    folders, skipped = _folders(runs, "show")
+    folders, climbed, skipped = _folders(runs, "show")
     folder = _emptied(Path(out))
     judged: list[RunReport] = []
     left_out: list[str] = []
@@ -272,9 +323,16 @@ def write_site(
         )
         for run in shown
     ]
-    write_report(folder / PAGE, render_board(title, sections, left_out, runs_page=RUNS_PAGE))
+    limits = _listed_limits(climbed, folder / PAGE, REPORTS, left_out)
+    board = render_board(title, sections, left_out, runs_page=RUNS_PAGE, limits=limits)
+    write_report(folder / PAGE, board)
     history = render_index(
-        listed, (), title=f"{title}: runs", pictures=drawn.of_runs(shown), board=PAGE
+        listed,
+        (),
+        title=f"{title}: runs",
+        pictures=drawn.of_runs(shown),
+        board=PAGE,
+        limits=limits,
     )
     write_report(folder / RUNS_PAGE, history)
     return WrittenSite(

@@ -90,7 +90,7 @@ def _plan(folder: RunFolder, info: RunInfo, request: Request) -> Plan:
             f"policy {info.policy.name!r} was an object of the process that ran it",
             fix="give the same policy with --policy",
         )
-    plan = continued(folder.path, request)
+    plan = continued(folder.path, request, again=True)
     if request.policy is None and plan.bundle.card.adapter == "remote":
         raise PolicyError(
             f"{plan.bundle.where}, which run.json names, asks a policy on a server",

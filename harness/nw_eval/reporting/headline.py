@@ -62,6 +62,8 @@ def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     """Return what the bounds apply to, and what a gate against a baseline finds, on a line."""
     if run.is_part:
         return "A part of a run speaks for nothing but its own trials."
+    if run.is_search:
+        return "The trials of a search speak for its limit, not for success in these scenes."
     if verdict.success is None:
         return "No trial has a result, so nothing can be said."
     sentence = "The bounds apply to new initial states in these scenes."

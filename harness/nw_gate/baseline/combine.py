@@ -37,7 +37,7 @@ def judge_run(
     baseline's own policy, the baseline's results are judged in place of the run's only if all that
     ran again is equal. If bits are others, its trials are compared with the baseline as any
     candidate's are, and what would be REGRESSED is INVALID: the machine or the version changed. A
-    part of a run is not judged (`_of_part`).
+    part of a run and the trials of a search are not judged (`_of_part`).
 
     Args:
         rows: of the run's plan.
@@ -48,7 +48,7 @@ def judge_run(
     Raises:
         IncomparableError, StoreError: as `compare`.
     """
-    if run.is_part:
+    if run.is_part or run.is_search:
         verdict = _of_part(rows, run, gate)
     else:
         verdict = _of_rows(rows, run, gate, against)
@@ -234,7 +234,7 @@ def _of_part(rows: Sequence[Row], run: RunInfo, gate: Gate) -> Verdict:
     """Return RAN, INFRASTRUCTURE if a trial has no result, INVALID if the baseline fails here.
 
     Args:
-        rows: of the part's plan.
+        rows: of the part's plan, or those that a search chose.
         run: what they are of; `run.shard` says which part.
         gate: the suite's settings, of which no bar and no tier counts.
     """
@@ -250,4 +250,10 @@ def _of_part(rows: Sequence[Row], run: RunInfo, gate: Gate) -> Verdict:
     elif word == "RAN":
         reasons = ()
     whole = f"{run.shard}: `nw-eval merge` joins all parts and judges the run"
+    if run.is_search:
+        whole = (
+            "a search for a limit chose these trials by their results, so that success over all of "
+            "them estimates nothing; limits.md in the folder of the search has the limit"
+        )
+        verdict = replace(verdict, success=None)
     return replace(verdict, verdict=word, reasons=(*reasons, whole), per_scene=scores)

@@ -35,6 +35,7 @@ _MOST = 16 * 2**20
 
 _RECHECK = "recheck/"
 _ROUNDS = "rounds/"
+_SEARCH = "search/"
 
 
 def rounds_key(policy: PolicyInfo) -> str:
@@ -45,9 +46,18 @@ def rounds_key(policy: PolicyInfo) -> str:
     return f"{_ROUNDS}{policy.checkpoint_digest}/{policy.card_digest}"
 
 
+def search_key(key: str) -> str:
+    """Return the key of an order of which a search for a limit runs what it needs.
+
+    Args:
+        key: of the policy, by which the order is drawn.
+    """
+    return f"{_SEARCH}{key}"
+
+
 def candidate_in(key: str) -> str:
     """Return by what the starts are drawn of an order with this key: see `RunInfo.drawn_for`."""
-    return key.removeprefix(_ROUNDS)
+    return key.removeprefix(_ROUNDS).removeprefix(_SEARCH)
 
 
 def recheck_key(seed: int) -> str:
@@ -301,6 +311,14 @@ class RunInfo(_Saved):
     def is_recheck(self) -> bool:
         """Whether its policy is the baseline's own, of which some starts run again."""
         return self.drawn_for is not None and self.drawn_for.startswith(_RECHECK)
+
+    @property
+    def is_search(self) -> bool:
+        """Whether a search for a limit chose its trials by the results of earlier ones.
+
+        Success over all of them estimates nothing.
+        """
+        return self.drawn_for is not None and self.drawn_for.startswith(_SEARCH)
 
     @property
     def is_part(self) -> bool:

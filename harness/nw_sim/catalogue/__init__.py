@@ -216,12 +216,21 @@ def _match(pattern: str, base: Path) -> list[str]:
 
 
 def _rungs(pattern: str, base: Path) -> list[str]:
-    """Return the rungs that a name or glob of built-in ladders means, or `FOLDER@*`."""
+    """Return the rungs that a pattern means, of built-in ladders or of a folder (`FOLDER@*`)."""
+    if pattern.endswith("@*") and is_ladder(folder := base / pattern.removesuffix("@*")):
+        return [str(each.resolve()) for _, each in load_ladder(folder).rungs]
+    return rungs_meant(pattern)
+
+
+def rungs_meant(pattern: str) -> list[str]:
+    """Return the rungs of built-in ladders that a name or glob such as `hurdles/bar@*` means.
+
+    Raises:
+        SceneError: a ladder that it names has no such value or setting.
+    """
     name, at, values = pattern.partition("@")
     if not at:
         return []
-    if pattern.endswith("@*") and is_ladder(folder := base / pattern.removesuffix("@*")):
-        return [str(each.resolve()) for _, each in load_ladder(folder).rungs]
     plain, number = parted(values)
     if not any(mark in name + plain for mark in "*?["):
         entry = rung(pattern)

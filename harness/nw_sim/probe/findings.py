@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_base.errors import NwEvalError, nearest
+from nw_base.errors import NwEvalError, SceneError, nearest
 from nw_base.plural import plural
 from nw_places.entries import parted
 from nw_policies.cards import Card, motors_follow
@@ -25,7 +25,7 @@ from nw_policies.cards.joints import short_name
 from nw_policies.cards.networks import input_parts
 from nw_policies.cards.observations import ProprioObservation, SplatRgbObservation
 from nw_scenes.robots import RobotSpec
-from nw_sim.catalogue import is_meant
+from nw_sim.catalogue import is_meant, rungs_meant
 from nw_sim.catalogue import names as scene_names
 from nw_sim.probe.following import (
     Followed,
@@ -106,11 +106,20 @@ def card_findings(card: Card) -> Iterator[ProbeFinding]:
         pattern, _ = parted(words.removeprefix(LEFT_OUT))
         if pattern[:1] in ".~/" or (":" in pattern and not pattern.startswith("split:")):
             continue
-        if not any(is_meant(name, pattern) for name in scene_names()):
+        if not _is_known(pattern):
             hint = nearest(pattern, scene_names())
             guess = f"; {hint}" if hint.startswith("did you mean") else ""
             text = f"`trained_on`: {words!r} names no built-in scene, and marks none as trained in"
             yield ProbeFinding(kind="note", text=f"{text}{guess}")
+
+
+def _is_known(pattern: str) -> bool:
+    """Whether a pattern means a built-in scene, or a rung of a built-in ladder."""
+    try:
+        rungs = rungs_meant(pattern)
+    except SceneError:  # The ladder has no such rung.
+        return False
+    return bool(rungs) or any(is_meant(name, pattern) for name in scene_names())
 
 
 def measure(part: Part, recording: Recording) -> Range:

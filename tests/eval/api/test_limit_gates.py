@@ -47,7 +47,7 @@ def project(tmp_path_factory):
 
 
 @pytest.fixture(autouse=True)
-def here(project, monkeypatch):
+def _here(project, monkeypatch):
     """Commands are typed in the project's folder."""
     monkeypatch.chdir(project)
 
@@ -83,7 +83,7 @@ def test_a_baseline_has_the_limit_of_each_ladder_that_its_suite_names(project):
     assert limit.confidence == 0.995
 
 
-def test_saving_again_measures_nothing(project):
+def test_saving_again_measures_nothing():
     again = api.save_baseline("./steps.yaml", trials=30)
     assert again.action == "unchanged"
 
@@ -187,7 +187,7 @@ def test_where_the_saved_limit_does_not_hold_the_baselines_policy_climbs_first(p
     assert nested.policy.name == "go1-parkour"
 
 
-def test_at_least_needs_no_baseline(project, tmp_path):
+def test_at_least_needs_no_baseline(tmp_path):
     text = SUITE.replace("  baseline: go1-parkour\n  max_drop: 0.3\n", "")
     for least, word, code in ((0.16, "PASS", 0), (0.26, "REGRESSED", 1)):
         suite = tmp_path / f"{least}.yaml"

@@ -1,15 +1,20 @@
 """A search for limits from ladder to page, with policies that stand and walk."""
 
 import json
+import re
 import shutil
+from io import BytesIO
 
 import pytest
+from PIL import Image, ImageSequence
 
-from nw_base.errors import SceneError, UsageError
+from nw_base.errors import IncomparableError, SceneError, UsageError
 from nw_eval import api
+from nw_eval.api import climbing
 from nw_eval.api.ladder_runs import folder_names
 from nw_eval.cli import main
 from nw_eval.engine.listener import NullListener
+from nw_eval.reporting.markdown import render_markdown
 from nw_gate.limits.limit import Limit
 from nw_gate.results.row import rows_digest
 from nw_policies import find_card
@@ -44,7 +49,20 @@ def test_the_trials_of_a_search_are_a_run_that_can_be_judged_again(standing):
     assert {row.status for row in rows} == {"ok"}
     assert not any(row.completed for row in rows)
     assert all(row.scene.startswith("stairs/up@") for row in rows)
-    assert api.report(each.run).verdict.verdict == "RAN"
+
+
+def test_a_report_of_a_search_claims_no_success_and_its_trials_can_be_verified(standing):
+    (each,) = standing.limits
+    judged = api.report(each.run)
+    assert (judged.verdict.verdict, judged.verdict.success) == ("RAN", None)
+    assert any("limits.md" in reason for reason in judged.verdict.reasons)
+    page = render_markdown(judged.info, judged.rows, judged.verdict, each.run)
+    assert "success is" not in page
+    verified = api.verify(each.run, trials=1, workers=1)
+    assert len(verified.repeats.trials) == 1
+    assert verified.is_as_it_was
+    with pytest.raises(IncomparableError, match="`nw-eval limits` chose its trials"):
+        api.run(resume=each.run)
 
 
 def test_two_workers_find_the_same_limit_by_the_same_trials(standing, tmp_path):
@@ -62,6 +80,90 @@ def test_the_files_say_what_was_found(standing):
     assert "cleared: <strong>none</strong>, not cleared: <strong>0.1\u00a0m</strong>" in page
     table = " ".join((standing.out / "limits.md").read_text().split())
     assert "| stairs/up | stand | none | 0.1 m |" in table
+
+
+def test_the_page_shows_a_trial_on_either_side_of_the_limit_and_stays_light(tmp_path):
+    found = api.limits(["stairs/up"], policy="go1-parkour", trials=8, out=tmp_path / "new")
+    (each,) = found.limits
+    says = [film.says for film in each.films]
+    assert [text.endswith(": completed") for text in says] == [True, False]
+    easier, harder = (float(text.split()[0]) for text in says)
+    assert easier < harder
+    for film in each.films:
+        moving = Image.open(BytesIO(film.film.data))
+        assert moving.n_frames > 10
+        assert len({frame.tobytes() for frame in ImageSequence.Iterator(moving)}) > 5
+    page = (found.out / "limits.html").read_bytes()
+    assert page.count(b"data:image/webp") == 4  # A still and a film of each.
+    assert len(page) < 300_000
+
+
+def test_films_are_left_out_where_nobody_wants_them_or_they_cannot_be_drawn(
+    standing, tmp_path, monkeypatch
+):
+    (each,) = standing.limits
+    assert [film.says.split()[0] for film in each.films] == ["0.1"]  # None was completed.
+    without = api.limits(
+        ["stairs/up"], policy="stand", films=False, out=tmp_path / "without", workers=1
+    )
+    assert not without.limits[0].films
+    assert b"data:image" not in (without.out / "limits.html").read_bytes()
+
+    monkeypatch.setattr(climbing, "_FILMS_SECONDS", 0.0)
+    late = api.limits(["stairs/up"], policy="stand", seed=2, out=tmp_path / "late", workers=1)
+    assert late.limits[0].limit.decided
+    assert not late.limits[0].films
+    assert "Films of stairs/up are missing: " in (late.out / "limits.html").read_text()
+
+
+def test_pages_over_runs_draw_limits_over_training_steps_and_the_board_has_a_column(tmp_path):
+    for step in (100, 200):
+        api.limits(
+            ["stairs/up"],
+            policy="stand",
+            out=tmp_path / "reports" / f"limits-{step}",
+            labels={"step": str(step), "training_run": "may"},
+            films=False,
+            workers=1,
+        )
+    folders = sorted((tmp_path / "reports").iterdir())
+    listed = api.index_runs(folders, out=tmp_path / "index.html", pictures=False)
+    assert not listed.unread
+    page = listed.page.read_text()
+    assert "five steps up: rise of the steps, m, by training step" in page
+    assert page.count(": easier than 0.1\u00a0m</title>") == 2
+    assert page.count('data-of="not cleared at">0.1\u00a0m</td>') == 2
+    linked = {tmp_path / link for link in re.findall(r'href="([^"#]+limits.html)"', page)}
+    assert len(linked) == 2
+    assert all(link.is_file() for link in linked)
+
+    site = api.write_site(folders, tmp_path / "site", pictures=False)
+    assert not site.left_out
+    (cell,) = re.findall(
+        r'data-of="stairs/up"><a href="([^"]+)">([^<]+)</a>', site.page.read_text()
+    )
+    assert cell[1] == "easier than 0.1\u00a0m"
+    assert (tmp_path / "site" / cell[0]).is_file()
+
+
+def test_limits_that_are_not_those_of_their_trials_are_named_and_not_shown(standing, tmp_path):
+    other = shutil.copytree(standing.out, tmp_path / "other")
+    saved = json.loads((other / "limits.json").read_text())
+    saved["limits"][0]["limit"]["trials"] = [[0, 1]] * 30
+    (other / "limits.json").write_text(json.dumps(saved))
+    damaged = shutil.copytree(standing.out, tmp_path / "damaged")
+    (damaged / "limits.json").write_text("{")
+    outside = shutil.copytree(standing.out, tmp_path / "outside")
+    saved["limits"][0]["run"] = "../damaged/stairs-up/1"
+    (outside / "limits.json").write_text(json.dumps(saved))
+    listed = api.index_runs([other, damaged, outside], out=tmp_path / "index.html", pictures=False)
+    assert listed.exit_code == 4
+    other_says, damaged_says, outside_says = listed.unread
+    assert "other: the limit on stairs/up is not of the trials of 1" in other_says
+    assert "damaged: " in damaged_says
+    assert "limits.json cannot be read" in damaged_says
+    assert "outside: " in outside_says
+    assert "or harder" not in listed.page.read_text()
 
 
 def test_rungs_of_a_perturbation_are_climbed_in_one_scene(tmp_path):

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import nw_eval
+import nw_gate
 from nw_eval import api
 from nw_eval.api.renamed import keywords_were
 from nw_eval.cli.verbs.table import RENAMED
@@ -67,13 +68,15 @@ def test_every_verb_is_public_and_a_name_that_is_not_is_an_attribute_error():
         nw_eval.rnu  # noqa: B018
 
 
-@pytest.mark.parametrize("old", nw_eval._RENAMED)
-def test_an_old_name_is_the_new_one_with_a_warning_that_says_it(old):
-    now = nw_eval._RENAMED[old]
-    with pytest.warns(DeprecationWarning, match=f"nw_eval.{old} is now nw_eval.{now}$") as told:
-        assert getattr(nw_eval, old) is getattr(nw_eval, now)
+@pytest.mark.parametrize(
+    ("package", "old"), [(each, old) for each in (nw_eval, nw_gate) for old in each._RENAMED]
+)
+def test_an_old_name_is_the_new_one_with_a_warning_that_says_it(package, old):
+    now, name = package._RENAMED[old], package.__name__
+    with pytest.warns(DeprecationWarning, match=f"{name}.{old} is now {name}.{now}$") as told:
+        assert getattr(package, old) is getattr(package, now)
     assert told[0].filename == __file__
-    assert old not in dir(nw_eval)
+    assert old not in dir(package)
 
 
 def test_verbs_that_were_renamed_on_the_command_line_are_renamed_in_python():

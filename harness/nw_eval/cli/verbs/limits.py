@@ -11,7 +11,7 @@ import tyro
 
 from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
-from nw_eval.cli.verbs.shared import AllowCode, NoCache, Workers
+from nw_eval.cli.verbs.shared import AllowCode, Label, NoCache, Workers
 
 if TYPE_CHECKING:
     from nw_eval.api import FoundLimits
@@ -53,6 +53,9 @@ class Limits:
     workers: Workers = None
     no_cache: NoCache = False
     allow_code: AllowCode = False
+    no_films: bool = False
+    """Do not show a trial on either side of each limit on the page, which takes some seconds."""
+    label: Label = ()
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -61,6 +64,7 @@ class Limits:
         from nw_eval.cli.terminal.interruption import INTERRUPTED
         from nw_eval.cli.terminal.last_words import tell
         from nw_eval.cli.terminal.progress import RunProgress
+        from nw_gate.results.labels import typed_labels
 
         with RunProgress() as progress:
             result = api.limits(
@@ -76,8 +80,10 @@ class Limits:
                 seed=self.seed,
                 out=self.out,
                 allow_code=self.allow_code,
+                films=not self.no_films,
                 workers=self.workers,
                 cache=not self.no_cache,
+                labels=typed_labels(self.label),
                 listener=progress,
             )
         print(limits_json(result) if self.json else limits_text(result))

@@ -6,13 +6,12 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
-
-import tyro
+from typing import ClassVar
 
 from nw_base.words import Engine
 from nw_eval.cli.terminal.last_words import tell
 from nw_eval.cli.verbs.options import Options, Publishing
+from nw_eval.cli.verbs.shared import Label
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,11 +30,7 @@ class Run(Publishing, Options):
     Trials, scenes, record and limits may change; robot, policy, checkpoint, seed, renderer and
     collision may not."""
 
-    label: Annotated[
-        tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")
-    ] = ()
-    """A label for the run's pages and for indexes of runs, such as training_run=may-3. CI's
-    repository, commit, branch, pull_request, job and job_url are added."""
+    label: Label = ()
     ledger: Path | None = None
     """Append the verdict to this ledger (`nw-eval ledger` summarizes it)."""
     in_process: bool = False

@@ -28,6 +28,14 @@ Scenes = Annotated[
 Checkpoint = Annotated[Path | None, tyro.conf.arg(help="Use these weights instead of the card's.")]
 AllowCode = Annotated[bool, tyro.conf.arg(help="Allow the policy's card to import Python code.")]
 NoCache = Annotated[bool, tyro.conf.arg(help="Run every trial; neither read nor write the cache.")]
+Label = Annotated[
+    tyro.conf.UseAppendAction[tuple[str, ...]],
+    tyro.conf.arg(
+        metavar="KEY=VALUE",
+        help="A label for the run's pages and for indexes of runs, such as training_run=may-3. "
+        "CI's repository, commit, branch, pull_request, job and job_url are added.",
+    ),
+]
 SHARED: Mapping[str, Any] = MappingProxyType(
     {
         "suite": _Suite,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from nw_base.clean import clean
 from nw_eval.reporting.headline import part_of_suite, stopped_early
 from nw_eval.reporting.html.environment import render
-from nw_eval.reporting.html.runs import ListedRun, level_of
+from nw_eval.reporting.html.runs import ListedLimit, ListedRun, level_of
 from nw_eval.reporting.side_by_side import ranks_text
 from nw_eval.reporting.tables.table import Bar
 from nw_gate.results.provenance import RunInfo
@@ -153,7 +153,7 @@ class BoardStanding:
 
 @dataclass(frozen=True, kw_only=True)
 class BoardLine:
-    """A policy over all columns.
+    """A policy over all columns, those of ladders after those of suites.
 
     Attributes:
         name: of the policy.
@@ -166,25 +166,35 @@ class BoardLine:
     digest: str
     run: str
     standings: tuple[BoardStanding | None, ...]
+    limits: tuple[ListedLimit | None, ...]
+    """By ladder, the latest of each; None where it has none."""
 
 
 def render_board(
-    title: str, sections: Sequence[BoardSection], left_out: Sequence[str], *, runs_page: str = ""
+    title: str,
+    sections: Sequence[BoardSection],
+    left_out: Sequence[str],
+    *,
+    runs_page: str = "",
+    limits: Sequence[ListedLimit] = (),
 ) -> str:
     """Return the page.
 
     Args:
         title: above it.
         sections: in their order.
+        limits: of policies on ladders, in any order.
         left_out: a sentence for each run that the page does not have.
         runs_page: address of an index of the runs; empty without one.
     """
-    columns, lines = _lines(sections)
+    ladders = sorted({each.ladder for each in limits})
+    columns, lines = _lines(sections, ladders, limits)
     return render(
         "site.html.j2",
         title=title,
         sections=tuple(sections),
         columns=columns,
+        ladders=ladders,
         lines=lines,
         left_out=tuple(left_out),
         runs_page=runs_page,
@@ -193,7 +203,9 @@ def render_board(
     )
 
 
-def _lines(sections: Sequence[BoardSection]) -> tuple[list[str], list[BoardLine]]:
+def _lines(
+    sections: Sequence[BoardSection], ladders: Sequence[str], limits: Sequence[ListedLimit]
+) -> tuple[list[str], list[BoardLine]]:
     """Return the names of the columns, and a line for each policy, the best of the first on top."""
     columns: list[str] = []
     standings: dict[tuple[str, str], dict[int, BoardStanding]] = {}
@@ -233,6 +245,13 @@ def _lines(sections: Sequence[BoardSection]) -> tuple[list[str], list[BoardLine]
                     ),
                 )
             columns.append(section.title if task is None else f"{section.title}: {task.task}")
+    climbed: dict[tuple[str, str], dict[str, ListedLimit]] = {}
+    for each in sorted(limits, key=lambda each: each.run.order):
+        policy = each.run.info.policy
+        key = (policy.folder_name, policy.short_digest)
+        climbed.setdefault(key, {})[each.ladder] = each
+        called.setdefault(key, each.run.at)
+        standings.setdefault(key, {})
     names = [name for name, _ in standings]
     order = sorted(
         standings,
@@ -250,6 +269,7 @@ def _lines(sections: Sequence[BoardSection]) -> tuple[list[str], list[BoardLine]
             digest=digest,
             run=called[name, digest] if names.count(name) > 1 else "",
             standings=tuple(standings[name, digest].get(c) for c in range(len(columns))),
+            limits=tuple(climbed.get((name, digest), {}).get(ladder) for ladder in ladders),
         )
         for name, digest in order
     ]

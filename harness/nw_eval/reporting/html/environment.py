@@ -12,7 +12,7 @@ import re
 from base64 import b64encode
 from functools import cache, lru_cache
 from hashlib import sha256
-from typing import Any
+from typing import Any, cast
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
@@ -38,7 +38,6 @@ def render(template: str, **values: Any) -> str:
         script=Markup(script),  # noqa: S704 - A file of ours.
         leave=f"default-src 'none'; style-src {_hash(style)}; script-src {_hash(script)}; "
         "img-src data:; base-uri 'none'; form-action 'none'; require-trusted-types-for 'script'",
-        data_uri=data_uri,
         **values,
     )
 
@@ -60,6 +59,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    cast("dict[str, Any]", environment.globals)["data_uri"] = data_uri
     environment.filters["typed"] = _typed
     environment.filters["coded"] = _coded
     return environment

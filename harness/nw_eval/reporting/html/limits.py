@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.reporting.html.environment import render
+from nw_eval.reporting.html.evidence import CLIP_BYTES, Film
 from nw_eval.reporting.markdown import escaped, markdown_table, write_report
 from nw_eval.reporting.tables.table import Table
 
@@ -23,6 +24,19 @@ LEFT, RIGHT = 8.0, 552.0
 """Edges of a bar's axis, in units of its drawing."""
 TOP, BOTTOM = 8.0, 88.0
 """Edges of a curve's axis."""
+_FILM_BYTES = 60_000
+"""Of one film, at most: those of twelve ladders are 1.4 MB, and base64 adds a third."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RungFilm:
+    """The last seconds of a trial at a rung, from outside."""
+
+    says: str
+    """What it shows, such as "0.24 m: fell"."""
+    film: Film
+    seconds: float
+    """That it shows, simulated."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,14 +54,23 @@ class LadderLimit:
     """The folder of its trials."""
     errors: int = 0
     """Trials that ended in an error of the machine, without which the search could not go on."""
+    films: tuple[RungFilm, ...] = ()
+    """A completed trial at the last rung that is cleared, and a failed one at the first that is
+    not; as far as there are such trials and they could be drawn."""
 
 
-def write_limits(limits: Sequence[LadderLimit], out: Path) -> None:
+def film_bytes(limits: int) -> int:
+    """Return how many bytes each film of a page with so many limits may have."""
+    return min(_FILM_BYTES, CLIP_BYTES // (2 * max(1, limits)))
+
+
+def write_limits(limits: Sequence[LadderLimit], out: Path, remarks: Sequence[str] = ()) -> None:
     """Write the files of some limits.
 
     Args:
         limits: the limits.
         out: the folder, which is there.
+        remarks: sentences on what could not be shown.
 
     Raises:
         StoreError: a file cannot be written.
@@ -62,6 +85,7 @@ def write_limits(limits: Sequence[LadderLimit], out: Path) -> None:
         ladders=_drawn(limits),
         table=limits_table(limits),
         words=limits_words(limits),
+        remarks=remarks,
     )
     write_report(out / "limits.html", page)
 
@@ -83,6 +107,16 @@ def limits_table(limits: Sequence[LadderLimit]) -> Table:
         ),
         numbers=frozenset({"trials"}),
     )
+
+
+def bounds_words(limit: Limit) -> str:
+    """Return the bounds of a limit in a few words, such as "0.26 to 0.34 m"."""
+    low, high = limit.lower, limit.upper
+    if low is not None and high is not None:
+        return f"{low.value:.6g} to {limit.ladder.says(high.value)}"
+    if low is not None:
+        return f"{limit.ladder.says(low.value)} or harder"
+    return "undecided" if high is None else f"easier than {limit.ladder.says(high.value)}"
 
 
 def limits_words(limits: Sequence[LadderLimit]) -> list[str]:
@@ -123,6 +157,10 @@ class DrawnLimit:
     """The curve, as SVG's `path` takes it."""
     band: str
     """Its band, as SVG's `polygon` takes it."""
+    films: tuple[tuple[str, Film], ...]
+    """What each shows, and the film."""
+    seconds: float
+    """Of the longest film."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,4 +222,6 @@ def _limit(each: LadderLimit, style: int) -> DrawnLimit:
         ),
         line="M" + "L".join(f"{a:g} {b:g}" for a, b in points),
         band=" ".join(f"{a:g},{b:g}" for a, b in [*upper, *reversed(lower)]),
+        films=tuple((film.says, film.film) for film in each.films),
+        seconds=max((film.seconds for film in each.films), default=0.0),
     )

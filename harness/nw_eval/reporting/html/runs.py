@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -18,7 +19,9 @@ from urllib.parse import urlsplit
 from nw_base.plural import plural
 from nw_eval.reporting.headline import headline_parts, part_of_suite
 from nw_eval.reporting.html.environment import render
+from nw_eval.reporting.html.limits import LadderLimit, bounds_words, limits_table
 from nw_eval.reporting.tables.table import Bar
+from nw_gate.limits.limit import Limit
 from nw_gate.results.labels import links_of
 from nw_gate.results.provenance import RunInfo
 from nw_gate.stats.interval import Interval
@@ -167,6 +170,88 @@ class ListedRun:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ListedLimit:
+    """A policy's limit on a ladder, as the page lists it."""
+
+    run: ListedRun
+    """Of its trials; `href` is that of the limits' page."""
+    ladder: str
+    title: str
+    """What its rungs are, for people."""
+    limit: Limit
+
+    @property
+    def result(self) -> Result | None:
+        """Its point: at its training step where that is known, else at its date."""
+        at = self.run.step if self.run.step is not None else self.run.when
+        if at is None:
+            return None
+        low, high = (self.height(end) for end in self.limit.ends)
+        return Result(
+            at=float(at) if isinstance(at, int) else at.timestamp(),
+            success=low,
+            interval=Interval(low=low, high=high),
+            name=f"{self.run.policy}, {self.run.at}",
+            says=self.bounds,
+        )
+
+    @property
+    def bounds(self) -> str:
+        """Its bounds in a few words."""
+        return bounds_words(self.limit)
+
+    @property
+    def shown(self) -> LadderLimit:
+        """As the limits' own page has it."""
+        return LadderLimit(
+            policy=self.run.policy,
+            ladder=self.ladder,
+            title=self.title,
+            limit=self.limit,
+            run=Path(self.run.folder),
+        )
+
+    def height(self, rung: int) -> float:
+        """Return where a rung stands in a drawing, in [0, 1]."""
+        return (rung + 1) / (len(self.limit.ladder.rungs) + 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LadderTrend:
+    """The limits on one ladder."""
+
+    ladder: str
+    title: str
+    """What its rungs are, and in which unit."""
+    charts: tuple[Chart, ...]
+    """Over training steps, and over dates where these are not known."""
+
+
+def _ladder_trends(limits: Sequence[ListedLimit]) -> list[LadderTrend]:
+    """Return the limits of each ladder over training steps and dates, the latest policy first."""
+    found: list[LadderTrend] = []
+    for name in dict.fromkeys(each.ladder for each in limits):
+        own = [each for each in limits if each.ladder == name]
+        rungs = own[-1].limit.ladder.rungs
+        ticks = (0, len(rungs) // 2, len(rungs) - 1)
+        levels = [(_y(own[-1].height(rung)), f"{rungs[rung]:g}") for rung in ticks]
+        charts: list[Chart] = []
+        for axis, by_step in (("training step", True), ("date", False)):
+            lines: dict[str, list[Result]] = {}
+            for each in own[::-1]:
+                if (each.run.step is not None) is by_step and each.result is not None:
+                    lines.setdefault(each.run.policy, []).append(each.result)
+            drawn = chart(axis, list(lines.items()))
+            # Where no policy has two, there is nothing to see but the table.
+            if drawn is not None and max(map(len, lines.values())) > 1:
+                charts.append(replace(drawn, levels=tuple(levels)))
+        unit = own[-1].limit.ladder.unit
+        title = f"{own[-1].title}, {unit}" if unit else own[-1].title
+        found.append(LadderTrend(ladder=name, title=title, charts=tuple(charts)))
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
 class Trend:
     """Success from run to run: of a scene, or of all together."""
 
@@ -272,11 +357,13 @@ def render_index(
     title: str = "",
     pictures: Mapping[tuple[str, str], bytes] = _NO_PICTURES,
     board: str = "",
+    limits: Sequence[ListedLimit] = (),
 ) -> str:
     """Return the page.
 
     Args:
         runs: in any order.
+        limits: of policies on ladders, in any order.
         unread: a sentence on each run that could not be read.
         title: above it; the number of runs if empty.
         pictures: JPEGs by name and digest of a scene.
@@ -287,9 +374,12 @@ def render_index(
         for place, run in enumerate(sorted(runs, key=lambda run: run.order), 1)
     ]
     suites = sorted({run.suite for run in ordered})
+    found = sorted(limits, key=lambda each: (each.ladder, each.run.order))
     return render(
         "index.html.j2",
         title=title or plural(len(ordered), "run"),
+        ladders=_ladder_trends(found),
+        limits=[(each, limits_table([each.shown]).rows[0]) for each in found],
         runs=ordered[::-1],
         unread=tuple(unread),
         suites=[
@@ -474,12 +564,14 @@ class Result:
         success: the mean, in [0, 1].
         interval: its bounds.
         name: of the run; it says the step of one.
+        says: what it came to; its success if empty.
     """
 
     at: float
     success: float
     interval: Interval
     name: str
+    says: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -514,6 +606,8 @@ class Chart:
     ticks: tuple[tuple[float, str], ...]
     lines: tuple[DrawnLine, ...]
     left_out: int
+    levels: tuple[tuple[float, str], ...]
+    """y and text of what goes upwards."""
 
 
 def chart(axis: str, results: Sequence[tuple[str, Sequence[Result]]]) -> Chart | None:
@@ -552,12 +646,13 @@ def chart(axis: str, results: Sequence[tuple[str, Sequence[Result]]]) -> Chart |
         ticks=tuple((x(at), text) for at, text in marks),
         lines=tuple(_named(lines)),
         left_out=len(kept) - len(drawn),
+        levels=tuple((_y(share / 100), f"{share} %") for share in (0, 25, 50, 75, 100)),
     )
 
 
 def _point(each: Result, x: Callable[[float], float], says: Callable[[float], str]) -> DrawnResult:
     low, high = (_y(bound) for bound in (each.interval.low, each.interval.high))
-    text = f"{each.name}{says(each.at)}: success {each.success:.3f}"
+    text = f"{each.name}{says(each.at)}: {each.says or f'success {each.success:.3f}'}"
     return DrawnResult(x=x(each.at), y=_y(each.success), low=low, high=high, says=text)
 
 
