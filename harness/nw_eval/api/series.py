@@ -265,13 +265,18 @@ def _judged(request: Request, folder: Path, how: How) -> RunReport:
 
 
 def _without_bars(gate: Gate) -> Gate:
-    """Return a gate that compares with its baseline alone, in success and in scores."""
+    """Return a gate that compares with its baseline alone, in success, scores and limits."""
     scores = {
         name: asked.model_copy(update={"bar": None})
         for name, asked in gate.scores.items()
         if asked.max_drop is not None
     }
-    return gate.model_copy(update={"success_rate": None, "scores": scores})
+    limits = {
+        name: asked.model_copy(update={"at_least": None})
+        for name, asked in gate.limits.items()
+        if asked.max_drop is not None
+    }
+    return gate.model_copy(update={"success_rate": None, "scores": scores, "limits": limits})
 
 
 def _finding(run: RunReport) -> Decision:

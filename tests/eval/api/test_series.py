@@ -113,6 +113,27 @@ def test_a_checkpoint_that_falls_by_a_gated_score_alone_is_flagged_and_the_score
     assert line.endswith("mean_power")
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("series")
+def test_a_checkpoint_whose_limit_alone_is_lower_is_flagged_by_the_ladder():
+    text = SUITE.partition("gate:")[0] + (
+        "gate:\n  max_drop: 0.5\n  rounds: 4\n  least_starts: 1\n  limits:\n"
+        "    stairs/up: {max_drop: 0.04, at_least: 0.34}\n"
+    )
+    Path("one.yaml").write_text(text)
+    shutil.copytree(load_bundle("go1-parkour").folder, "soft")
+    card = Path("soft/policy.yaml")
+    card.write_text(
+        card.read_text().replace("kp: 20", "kp: 16").replace("name: go1-parkour", "name: soft")
+    )
+    found = api.bisect(
+        "one.yaml", ["second.onnx"], good="good.onnx", bad="./soft", baseline_trials=16, workers=2
+    )
+    (line,) = [line for line in series_page(found).splitlines() if line.startswith("2  ./soft")]
+    assert "REGRESSED" in line
+    assert line.endswith("stairs/up")
+
+
 def test_what_is_no_checkpoint_is_refused_before_anything_runs(series):
     with pytest.raises(PolicyError, match=r"fifth\.onnx"):
         api.bisect("one.yaml", [*series, "fifth.onnx"], good="good.onnx", bad="last.onnx")

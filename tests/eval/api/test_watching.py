@@ -41,6 +41,11 @@ gate: {max_drop: 0.5, least_starts: 1}
 """
 
 
+LADDER = SUITE.replace(
+    "least_starts: 1}", "least_starts: 1, limits: {stairs/up: {max_drop: 0.04, trials: 60}}}"
+)
+
+
 @pytest.fixture
 def training(tmp_path, monkeypatch):
     """The folder of a training, with the suite beside it."""
@@ -261,3 +266,24 @@ def test_that_no_checkpoint_can_pass_with_so_few_trials_is_said_before_any_runs(
 def test_what_is_no_folder_is_refused(training):
     with pytest.raises(UsageError, match="not a folder"):
         watched(training / "nothing")
+
+
+@pytest.mark.slow
+def test_limits_of_each_checkpoint_are_searched_and_drawn_over_the_steps(training):
+    Path("one.yaml").write_text(LADDER)
+    good(training / "model_20.onnx")
+    bad(training / "model_10.onnx")
+    found = watched(training, record="none", workers=2)
+    low, high = found.checkpoints[1].limits["stairs/up"]
+    # On fixed rungs, 24 trials each, this policy completes 23 at 0.20 m and 0 at 0.24 m.
+    assert (low, high) in {(0.20, 0.24), (0.20, 0.22), (0.22, 0.24)}
+    low, high = found.checkpoints[0].limits["stairs/up"]
+    assert (low, high) == (None, 0.10)
+    page = found.page.read_text()
+    assert "Limits by training step" in page
+    assert "0.2, not 0.2" in page
+    table = pq.read_table(found.table).to_pylist()
+    assert dict(table[0]["limits"])["stairs/up"] == [None, 0.10]
+    worse = api.report(found.folder / found.checkpoints[0].run)
+    (limit,) = worse.verdict.limits
+    assert limit.candidate.upper.value == 0.10

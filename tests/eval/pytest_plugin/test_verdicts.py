@@ -343,3 +343,22 @@ def test_a_plugin_that_runs_failures_again_does_not_run_a_suite_again(suite, run
         for case in ET.parse(pytester.path / "out.xml").iter("testcase")
     ]
     assert cases == [(FLAT, False), ("verdict", False), ("test_own", True), ("test_own", False)]
+
+
+def test_a_ladder_of_the_gate_is_a_test_of_its_own(suite, run):
+    gate = "gate: {success_rate: 0.05, confidence: 0.6, limits: {stairs/up: {at_least: 0.1}}}"
+    suite(scenes=[FLAT], trials=2, gate=gate)
+    done = run("tiny.yaml", "-v", "--nw-policy", "stand")
+    done.stdout.fnmatch_lines(
+        [
+            "tiny.yaml::stairs/up FAILED*",
+            "*_ tiny.yaml: stairs/up _*",
+            "stairs/up: the limit is below 0.1 m, shown by * trials",
+        ]
+    )
+
+
+def test_a_ladder_that_is_not_judged_is_skipped(suite, run):
+    suite(scenes=[FLAT], gate="gate: {limits: {stairs/up: {max_drop: 0.1}}}")
+    done = run("tiny.yaml", "-rs")
+    done.stdout.fnmatch_lines(["SKIPPED*stairs/up: max_drop is not judged without a baseline"])

@@ -27,7 +27,7 @@ from nw_gate.limits.monotone import find_dip
 from nw_gate.limits.search import Search
 from nw_gate.limits.wealth import Wealth
 
-LADDERS, STRICT, CHECKED, GATES, MOST = 10_000, 2_000, 100, 100, 120
+LADDERS, STRICT, CHECKED, GATES, MOST = 10_000, 2_000, 100, 500, 120
 _AT_ONCE, _LOOKED_AT = 100, 500
 TABLE = Path(__file__).with_name("limit_cells.csv")
 GATE_TABLE = Path(__file__).with_name("limit_gate_cells.csv")

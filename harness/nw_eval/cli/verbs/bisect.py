@@ -85,10 +85,11 @@ def _facts(run: RunReport | None) -> dict[str, Any]:
 
 
 def _regressed(run: RunReport) -> list[str]:
-    """Return the scenes and the scores in which a checkpoint is worse."""
+    """Return the scenes, scores and ladders in which a checkpoint is worse."""
     against = run.verdict.against
     named = [] if against is None else [scene.scene for scene in against.scenes if scene.named]
-    return named + [item.spec.name for item in run.verdict.scores if item.word == "REGRESSED"]
+    named += [item.spec.name for item in run.verdict.scores if item.word == "REGRESSED"]
+    return named + [item.ladder for item in run.verdict.limits if item.word == "REGRESSED"]
 
 
 def series_page(series: BisectedSeries) -> str:

@@ -50,7 +50,7 @@ class LadderLimit:
     title: str
     """What its rungs are, for people."""
     limit: Limit
-    run: Path
+    run: Path = Path()
     """The folder of its trials."""
     errors: int = 0
     """Trials that ended in an error of the machine, without which the search could not go on."""
@@ -82,7 +82,7 @@ def write_limits(limits: Sequence[LadderLimit], out: Path, remarks: Sequence[str
         "limits.html.j2",
         note=_note(limits),
         policies=list(dict.fromkeys(each.policy for each in limits)),
-        ladders=_drawn(limits),
+        ladders=drawn_ladders(limits),
         table=limits_table(limits),
         words=limits_words(limits),
         remarks=remarks,
@@ -174,7 +174,8 @@ class DrawnLadder:
     limits: tuple[DrawnLimit, ...]
 
 
-def _drawn(limits: Sequence[LadderLimit]) -> list[DrawnLadder]:
+def drawn_ladders(limits: Sequence[LadderLimit]) -> list[DrawnLadder]:
+    """Return each ladder with the limits on it, in units of its drawing."""
     policies = list(dict.fromkeys(each.policy for each in limits))
     names = list(dict.fromkeys(each.ladder for each in limits))
     found: list[DrawnLadder] = []

@@ -32,6 +32,7 @@ from nw_eval.reporting.html.evidence import (
     clips_that_fit,
     pictures_that_fit,
 )
+from nw_eval.reporting.html.limits import DrawnLadder, LadderLimit, drawn_ladders
 from nw_eval.reporting.tables import NO_RIVALS, Rivals, named_tables
 from nw_eval.reporting.tables.run import label_name, throughput
 from nw_eval.reporting.tables.table import WORST, judged
@@ -96,6 +97,7 @@ def render_html(
         gauges=gauges(verdict),
         how_sure=how_sure(verdict, run),
         tables=named_tables(run, rows, verdict, cause),
+        ladders=_ladders(verdict),
         course=failing,
         # Where most was lost first, as in the table above them.
         views=[views[name] for name in dict.fromkeys((*failing.order, *views)) if name in views],
@@ -117,6 +119,18 @@ def render_html(
         reached="waypoints" if any(row.waypoints_total for row in rows) else "success",
         scenes=sorted({row.scene for row in rows}),
         view=f"nw-eval view {quote(str(folder))}",
+    )
+
+
+def _ladders(verdict: Verdict) -> list[DrawnLadder]:
+    """Return the ladders that were climbed, the candidate's limit above the baseline's."""
+    return drawn_ladders(
+        [
+            LadderLimit(policy=policy, ladder=item.ladder, title=item.title, limit=limit)
+            for item in verdict.limits
+            for policy, limit in (("candidate", item.candidate), ("baseline", item.baseline))
+            if item.candidate is not None and limit is not None
+        ]
     )
 
 

@@ -236,7 +236,7 @@ def gated_limits_table(verdict: Verdict) -> Table:
         numbers=frozenset({"trials"}),
         note=f"A rung is cleared if the policy completes at least the gate's share of its trials "
         f"there; bounds of the policy hold with {100 * verdict.confidence:.4g} % confidence, each "
-        "alone.",
+        "alone. Where a bound is `none`, the trials show none: a gate looks for what it asks only.",
     )
 
 
