@@ -8,7 +8,6 @@ from nw_gate.judgement import Judgement as Judgement
 from nw_gate.judgement import JudgeSettings as JudgeSettings
 from nw_gate.judgement import TaskFigures as TaskFigures
 from nw_gate.judgement import judge as judge
-from nw_gate.limits.against import BASELINE_CONFIDENCE as BASELINE_CONFIDENCE
 from nw_gate.limits.against import LimitGate as LimitGate
 from nw_gate.limits.against import LimitMargins as LimitMargins
 from nw_gate.limits.against import LimitVerdict as LimitVerdict

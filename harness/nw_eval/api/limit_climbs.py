@@ -21,6 +21,7 @@ from nw_eval.api.limit_gates import (
     baseline_search,
     compares,
     holds_here,
+    is_of,
     ladder_folders,
     limit_gate,
     limit_search,
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from nw_gate.limits.path import TrialPath
     from nw_gate.results.baseline import LoadedBaseline
     from nw_gate.results.provenance import RunInfo
-    from nw_gate.settings import LadderGate
+    from nw_gate.settings import Gate, LadderGate
     from nw_sim.ladders import Ladder as SceneLadder
 
 
@@ -115,10 +116,14 @@ def baseline_limits(
         own = ladder_plan_of_run(family, plan, MOST_SAVED)
         machine = machine_of(run_info(own, RunFolder(path=at), how))
         saved = known.get(name)
-        if saved is not None and _is_of(saved, own, asked.share) and saved.machine == machine:
+        if (
+            saved is not None
+            and _is_of(saved, own, name, plan.suite.gate)
+            and saved.machine == machine
+        ):
             limits[name] = saved
             continue
-        search = baseline_search(gated_ladder(family), asked.share)
+        search = baseline_search(gated_ladder(family), asked, plan.suite.gate)
         how.told.message(f"ladder {name}: its limit is measured for the baseline")
         climb = Climb(own, family, search, how)
         if climb.carry_out(at):
@@ -130,17 +135,18 @@ def baseline_limits(
         limits[name] = SavedLimit(
             limit=search.limit.as_dict(),
             suite_digest=rules_digest(own.suite),
-            scenes={scene.name: scene.digest for scene in own.scenes},
+            scenes=_digests(own),
             machine=machine,
         )
     return limits
 
 
-def _is_of(saved: SavedLimit, plan: Plan, share: float) -> bool:
-    """Whether a saved limit is of the scenes, rules and share of a plan."""
-    digests = {scene.name: scene.digest for scene in plan.scenes}
-    known = (saved.suite_digest, saved.scenes, saved.limit.get("share"))
-    return known == (rules_digest(plan.suite), digests, share)
+def _is_of(saved: SavedLimit, own: Plan, ladder: str, gate: Gate) -> bool:
+    return is_of(saved, own.suite, _digests(own), ladder, gate)
+
+
+def _digests(own: Plan) -> dict[str, str]:
+    return {scene.name: scene.digest for scene in own.scenes}
 
 
 def _climb_gated(
@@ -160,7 +166,11 @@ def _climb_gated(
         assert against is not None, "there is something to compare with"
         saved = against.results.manifest.limits.get(name)
         of_saved = ladder_plan_of_run(family, plan, 1)
-        if saved is not None and _is_of(saved, of_saved, asked.share) and holds_here(saved, run):
+        if (
+            saved is not None
+            and _is_of(saved, of_saved, name, plan.suite.gate)
+            and holds_here(saved, run)
+        ):
             baseline = Limit.from_dict(saved.limit)
         else:
             baseline = _measured(plan, run, family, asked, against, at, how)
@@ -202,7 +212,7 @@ def _measured(
     )
     bundle = baseline_bundle(plan, against, run)
     own = ladder_plan_of_run(family, plan, MOST_SAVED, bundle=bundle)
-    search = baseline_search(gated_ladder(family), asked.share)
+    search = baseline_search(gated_ladder(family), asked, plan.suite.gate)
     # A policy by its card is behind the fence, also where the candidate is not.
     beside = replace(how, in_process=False, labels=None)
     if _climbed(replace(own, arm="baseline"), family, search, beside, at / "baseline"):

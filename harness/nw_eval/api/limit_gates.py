@@ -20,7 +20,7 @@ from nw_base.files.inside import what_is
 from nw_eval.api.ladder_runs import (
     folder_names,
 )
-from nw_gate.limits.against import BASELINE_CONFIDENCE, LimitGate, LimitMargins, judge_limit
+from nw_gate.limits.against import LimitGate, LimitMargins, judge_limit
 from nw_gate.limits.find import LimitSearch
 from nw_gate.limits.ladder import Ladder, LimitTrial
 from nw_gate.limits.limit import Limit
@@ -90,11 +90,20 @@ def run_limits(folder: RunFolder, info: RunInfo) -> dict[str, Limit]:
     return {item.ladder: item.candidate for item in found if item.candidate is not None}
 
 
-def baseline_search(ladder: Ladder, share: float) -> LimitSearch:
-    """Return the search for a baseline's limit, by its own name in a folder of candidates, too."""
+def baseline_search(ladder: Ladder, asked: LadderGate, gate: Gate) -> LimitSearch:
+    """Return the search for a baseline's limit, as sure as a gate needs it."""
     return LimitSearch(
-        ladder, share=share, confidence=BASELINE_CONFIDENCE, width=_WIDTH, most=MOST_SAVED
+        ladder,
+        share=asked.share,
+        confidence=needed_confidence(asked, gate),
+        width=_WIDTH,
+        most=MOST_SAVED,
     )
+
+
+def needed_confidence(asked: LadderGate, gate: Gate) -> float:
+    """Return how sure a baseline's bounds must be for a candidate to be found REGRESSED."""
+    return _margins(asked, gate, drops=True).baseline_confidence
 
 
 def asked_ladders(suite: Suite, run: RunInfo) -> tuple[str, ...]:
@@ -121,6 +130,24 @@ def rules_digest(suite: Suite) -> str:
     from nw_gate.results.request import Request
 
     return override(suite, Request(seed=0)).digest
+
+
+def is_of(
+    saved: SavedLimit, suite: Suite, digests: Mapping[str, str], ladder: str, gate: Gate
+) -> bool:
+    """Whether a saved limit is of the same trials, and as sure as a gate needs it.
+
+    Args:
+        saved: of a baseline.
+        suite: of the trials on the ladder.
+        digests: of their scenes, by name.
+        ladder: its name.
+        gate: that judges a candidate's limit.
+    """
+    asked, limit = gate.limits[ladder], Limit.from_dict(saved.limit)
+    known = (saved.suite_digest, saved.scenes, limit.share)
+    sure = limit.confidence >= needed_confidence(asked, gate) - 1e-9
+    return sure and known == (rules_digest(suite), dict(digests), asked.share)
 
 
 def holds_here(saved: SavedLimit, run: RunInfo) -> bool:
@@ -205,9 +232,9 @@ def limit_gate(
     asked: LadderGate, gate: Gate, ladder: Ladder, baseline: Limit | None
 ) -> LimitGate | None:
     """Return what asks for trials and judges them; None where nothing is to be shown."""
-    margins = _margins(asked, gate, baseline)
-    if margins is None:
+    if baseline is None and asked.at_least is None:
         return None
+    margins = _margins(asked, gate, drops=baseline is not None)
     return LimitGate(
         margins, baseline=baseline, ladder=ladder, share=asked.share, most=asked.trials
     )
@@ -220,11 +247,8 @@ def limit_search(asked: LadderGate, gate: Gate, ladder: Ladder) -> LimitSearch:
     )
 
 
-def _margins(asked: LadderGate, gate: Gate, baseline: Limit | None) -> LimitMargins | None:
-    """Return what must be shown of a limit; None where nothing is."""
-    drops = asked.max_drop is not None and baseline is not None
-    if not drops and asked.at_least is None:
-        return None
+def _margins(asked: LadderGate, gate: Gate, *, drops: bool) -> LimitMargins:
+    """Return what must be shown of a limit; without `drops` its bar alone."""
     return LimitMargins(
         max_drop=asked.max_drop if drops else None,
         tolerate=asked.tolerate if drops else 0.0,
@@ -303,7 +327,7 @@ def _shown(
     asked, baseline = suite.gate.limits[name], None
     if compares(asked, info, against):
         assert against is not None, "there is something to compare with"
-        baseline = _baseline_limit(name, asked, at, own, info, against, mend=mend)
+        baseline = _baseline_limit(name, suite, at, own, info, against, mend=mend)
         if baseline is None:
             why = "the baseline has no limit that holds here; run again"
             return "INFRASTRUCTURE", why, None, None
@@ -312,16 +336,16 @@ def _shown(
         path = limit_gate(asked, suite.gate, own.ladder, baseline)
     if path is None:
         return None, _UNJUDGED, None, None
-    whole, margins = path.follow(own.results), _margins(asked, suite.gate, baseline)
-    limit = path.limit
+    whole, limit = path.follow(own.results), path.limit
     if not whole and not _is_begun_with(info, against):
         why = "the trials that this baseline asks for did not run"
         return "INCONCLUSIVE", why, limit, baseline
     if not whole:
         why = "trials are missing or ended in errors; --resume runs them"
         return "INFRASTRUCTURE", why, limit, baseline
-    if margins is None:
+    if baseline is None and asked.at_least is None:
         return None, _UNJUDGED, limit, baseline
+    margins = _margins(asked, suite.gate, drops=baseline is not None)
     shown = judge_limit(limit, margins, baseline)
     return shown.word, shown.sentence.removeprefix(f"{name}: "), limit, baseline
 
@@ -334,7 +358,7 @@ def _is_begun_with(info: RunInfo, against: LoadedBaseline | None) -> bool:
 
 def _baseline_limit(
     name: str,
-    asked: LadderGate,
+    suite: Suite,
     at: Path,
     own: _Climbed,
     info: RunInfo,
@@ -346,15 +370,14 @@ def _baseline_limit(
     from nw_eval.api.saved_run import saved_suite
     from nw_gate.baseline.match import is_baseline
 
-    beside = _read(at / "baseline", mend=mend)
+    asked, beside = suite.gate.limits[name], _read(at / "baseline", mend=mend)
     if beside is not None and is_baseline(beside.run.policy, against.results):
-        search = baseline_search(beside.ladder, asked.share)
+        search = baseline_search(beside.ladder, asked, suite.gate)
         return search.limit if search.follow(beside.results) else None
     saved = against.results.manifest.limits.get(name)
     if saved is None or not holds_here(saved, info):
         return None
     digests = {scene: each.digest for scene, each in own.run.scenes.items()}
-    known = (saved.suite_digest, saved.scenes, saved.limit.get("share"))
-    if known != (rules_digest(saved_suite(own.run)), digests, asked.share):
+    if not is_of(saved, saved_suite(own.run), digests, name, suite.gate):
         return None
     return Limit.from_dict(saved.limit)

@@ -20,7 +20,7 @@ decides the error, which is at most alpha at any number of trials (Ville's inequ
 independent e-values: V. Vovk and R. Wang, "E-values: calibration, combination and applications",
 Ann. Stat. 49 (2021), section 4). What the baseline's few trials leave open is part of the error.
 The half that is not staked keeps a bet that the baseline lost from being the candidate's to win
-back. The baseline's evidence should suffice for both claims: `BASELINE_CONFIDENCE` is that.
+back. The baseline's evidence should suffice for both claims: `LimitMargins.baseline_confidence`.
 
 Off the ladder a limit has no value. A baseline that clears no rung cannot be fallen short of. Where
 v(I) - max_drop lies below the easiest rung, PASS needs that rung; where v(I) - tolerate does, the
@@ -47,9 +47,6 @@ from nw_gate.limits.limit import Limit
 from nw_gate.limits.path import TrialPath
 from nw_gate.limits.search import gains
 from nw_gate.limits.wealth import Wealth
-
-BASELINE_CONFIDENCE = 0.995
-"""Of a baseline's limit that candidates are compared with, at the default `false_alarm`."""
 
 LimitWord = Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
 _ROUNDING = 1e-9
@@ -105,6 +102,14 @@ class LimitMargins:
         """The error of each claim that makes one ladder REGRESSED."""
         claims = (self.max_drop is not None) + (self.at_least is not None)
         return self.false_alarm / claims / self.ladders
+
+    @property
+    def baseline_confidence(self) -> float:
+        """Confidence of a baseline's bounds with which its evidence suffices for REGRESSED.
+
+        (1 + W) / 2 then reaches 1 / alpha; 0.995 where false_alarm is 0.01 for a single claim.
+        """
+        return 1.0 - self.alpha_regressed / (2.0 - self.alpha_regressed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,6 +184,11 @@ class Claims:
             np.where(passed > 0.0, passed, -inf),
             tuple(np.where(each > 0.0, each, -inf) for each in regressed),
         )
+
+    @property
+    def can_regress(self) -> bool:
+        """Whether any trials would suffice for REGRESSED: the baseline's are enough for it."""
+        return any((each < inf).all() for each in self.regressed)
 
     def word(self, wealth: Wealth) -> LimitWord:
         """Return the verdict so far, of a single ladder."""
@@ -307,10 +317,17 @@ def judge_limit(
         UsageError: `at_least` lies beyond the hardest rung.
         IncomparableError: `max_drop` lacks a baseline, or it has another ladder.
     """
-    word = Claims.of(candidate.ladder, margins, baseline).word(candidate.wealth)
+    claims = Claims.of(candidate.ladder, margins, baseline)
+    word = claims.word(candidate.wealth)
+    sentence = _sentence(word, candidate, baseline, margins)
+    if word == "INCONCLUSIVE" and not claims.can_regress:
+        sentence += (
+            "; the baseline's trials are too few for REGRESSED: find its limit at a confidence of "
+            f"{margins.baseline_confidence:.4f}"
+        )
     return LimitVerdict(
         word=word,
-        sentence=_sentence(word, candidate, baseline, margins),
+        sentence=sentence,
         candidate=candidate,
         baseline=baseline,
         margins=margins,

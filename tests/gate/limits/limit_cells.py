@@ -19,7 +19,7 @@ from zlib import crc32
 
 import numpy as np
 
-from nw_gate.limits.against import BASELINE_CONFIDENCE, LimitGate, LimitMargins
+from nw_gate.limits.against import LimitGate, LimitMargins
 from nw_gate.limits.curves import Beliefs, Curves
 from nw_gate.limits.find import find_limit
 from nw_gate.limits.ladder import Ladder
@@ -243,16 +243,17 @@ def simulate_gate(cell: GateCell, gates: int = GATES) -> GateFound:
     rng = np.random.default_rng(crc32(repr(cell).encode()))
     old, new = rates_of(cell.baseline), rates_of(cell.candidate)
     ladder = Ladder(name=cell.baseline, rungs=tuple(range(len(old))))
+    margins = LimitMargins(max_drop=2.0)
     words, trials, before = list[str](), list[int](), list[int]()
     for _ in range(gates):
         baseline = find_limit(
             ladder,
             lambda trial: bool(rng.random() < old[trial.rung]),
             width=cell.width,
-            confidence=BASELINE_CONFIDENCE,
+            confidence=margins.baseline_confidence,
             most=MOST,
         )
-        gate = LimitGate(LimitMargins(max_drop=2.0), baseline=baseline, most=MOST)
+        gate = LimitGate(margins, baseline=baseline, most=MOST)
         while (trial := gate.next) is not None:
             gate.tell(trial, bool(rng.random() < new[trial.rung]))
         words.append(gate.verdict.word)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nw_base.errors import IncomparableError, UsageError
-from nw_gate import BASELINE_CONFIDENCE, Ladder, LimitGate, LimitMargins, find_limit
+from nw_gate import Ladder, LimitGate, LimitMargins, find_limit
 from nw_gate.limits.against import Claims
 from nw_gate.limits.wealth import Wealth
 
@@ -19,7 +19,8 @@ def cliff(limit):
 
 
 def baseline(limit=7, ladder=STEPS, **options):
-    return find_limit(ladder, cliff(limit), confidence=BASELINE_CONFIDENCE, **options)
+    options = {"confidence": LimitMargins(max_drop=1.0).baseline_confidence, **options}
+    return find_limit(ladder, cliff(limit), **options)
 
 
 def judged(margins, policy, **options):
@@ -43,6 +44,19 @@ def test_the_verdict_says_both_limits_in_units():
     found = judged(LimitMargins(max_drop=0.04), cliff(3), baseline=baseline(width=1))
     assert found.sentence.startswith("step: the limit is lower than the baseline's, shown by ")
     assert "(baseline 0.16 m, not 0.18 m; candidate" in found.sentence
+
+
+@pytest.mark.parametrize("ladders", [1, 2, 5])
+def test_a_baseline_as_sure_as_the_margins_ask_lets_a_worse_candidate_be_regressed(ladders):
+    margins = LimitMargins(max_drop=0.04, ladders=ladders)
+    sure = baseline(confidence=margins.baseline_confidence)
+    assert judged(margins, cliff(3), baseline=sure).word == "REGRESSED"
+
+
+def test_a_baseline_with_too_little_evidence_is_said_to_lack_it():
+    found = judged(LimitMargins(max_drop=0.04), cliff(3), baseline=baseline(confidence=0.9), most=9)
+    assert found.word == "INCONCLUSIVE"
+    assert "find its limit at a confidence of 0.9950" in found.sentence
 
 
 def test_trials_run_around_the_limit_of_the_baseline_and_from_other_starts():
