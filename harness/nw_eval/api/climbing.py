@@ -75,6 +75,7 @@ def limits(
     seed: int = 1,
     out: str | PathLike[str] | None = None,
     allow_code: bool = False,
+    contacts: bool = False,
     films: bool = True,
     **how: Any,
 ) -> FoundLimits:
@@ -98,6 +99,8 @@ def limits(
         seed: of the initial states.
         out: a new or empty folder (default: `reports/limits-<number>`).
         allow_code: allow Python code of the policy's card (confined).
+        contacts: let a trial go on when head or trunk touch something, which ends it otherwise.
+            Policies without cameras often find obstacles by touching them.
         films: show a trial on either side of each limit on the page; this takes some seconds for
             each ladder, after all limits are found.
         how: fields of `How` by name: workers, cache, listener, labels.
@@ -130,7 +133,10 @@ def limits(
     rivals = [request]
     if baseline is not None:
         rivals.append(replace(request, policy=baseline, checkpoint=None))
-    plans = [(family, [_planned(family, each, trials) for each in rivals]) for family in families]
+    plans = [
+        (family, [_planned(family, each, trials, contacts=contacts) for each in rivals])
+        for family in families
+    ]
     labels = _labels(plans[0][1])
     folder = result_folder(as_path(out), "limits")
     names = _folder_names([family.name for family in families])
@@ -279,7 +285,7 @@ def _search(
     return LimitSearch(ladder, share=share, confidence=confidence, width=width, most=most)
 
 
-def _planned(family: SceneLadder, request: Request, most: int) -> Plan:
+def _planned(family: SceneLadder, request: Request, most: int, *, contacts: bool) -> Plan:
     """Return the plan of all trials that a search may ask for, each with its place."""
     from nw_base.trials import MAX_TRIALS
     from nw_eval.engine.identity import policy_info
@@ -302,7 +308,7 @@ def _planned(family: SceneLadder, request: Request, most: int) -> Plan:
         "policy": request.policy,
         "trials": each,
         "seed": request.seed,
-        "episode": {"duration": _DURATION},
+        "episode": {"duration": _DURATION, "contact_termination": not contacts},
         "scenes": tuple(dict.fromkeys(rung.scene for rung in family.rungs)),
     }
     if family.rungs[0].perturbation:
