@@ -99,7 +99,7 @@ def limits(
         seed: of the initial states.
         out: a new or empty folder (default: `reports/limits-<number>`).
         allow_code: allow Python code of the policy's card (confined).
-        contacts: let a trial go on when head or trunk touch something, which ends it otherwise.
+        contacts: let a trial continue when head or trunk touch something, which ends it otherwise.
             Policies without cameras often find obstacles by touching them.
         films: show a trial on either side of each limit on the page; this takes some seconds for
             each ladder, after all limits are found.

@@ -54,7 +54,7 @@ class Limits:
     no_cache: NoCache = False
     allow_code: AllowCode = False
     contacts: bool = False
-    """Let a trial go on when head or trunk touch something, which ends it otherwise."""
+    """Let a trial continue when head or trunk touch something, which ends it otherwise."""
     no_films: bool = False
     """Do not show a trial on either side of each limit on the page, which takes some seconds."""
     label: Label = ()
