@@ -62,6 +62,7 @@ def limits(
     seed: int = 1,
     out: str | PathLike[str] | None = None,
     allow_code: bool = False,
+    contacts: bool = False,
     films: bool = True,
     **how: Any,
 ) -> FoundLimits:
@@ -85,6 +86,8 @@ def limits(
         seed: of the initial states.
         out: a new or empty folder (default: `reports/limits-<number>`).
         allow_code: allow Python code of the policy's card (confined).
+        contacts: let a trial continue when head or trunk touch something, which ends it otherwise.
+            Policies without cameras often find obstacles by touching them.
         films: show a trial on either side of each limit on the page; this takes some seconds for
             each ladder, after all limits are found.
         how: fields of `How` by name: workers, cache, listener, labels.
@@ -118,7 +121,8 @@ def limits(
     if baseline is not None:
         rivals.append(replace(request, policy=baseline, checkpoint=None))
     plans = [
-        (family, [ladder_plan(family, each, trials) for each in rivals]) for family in families
+        (family, [ladder_plan(family, each, trials, contacts=contacts) for each in rivals])
+        for family in families
     ]
     labels = _labels(plans[0][1])
     folder = result_folder(as_path(out), "limits")

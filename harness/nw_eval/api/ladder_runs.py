@@ -58,8 +58,17 @@ def folder_names(ladders: Sequence[str]) -> list[str]:
     return found
 
 
-def ladder_plan(family: SceneLadder, request: Request, most: int) -> Plan:
-    """Return the plan of all trials that a search may ask for, each with its place."""
+def ladder_plan(
+    family: SceneLadder, request: Request, most: int, *, contacts: bool = False
+) -> Plan:
+    """Return the plan of all trials that a search may ask for, each with its place.
+
+    Args:
+        family: the ladder.
+        request: robot, policy and seed.
+        most: trials of a rung, at most.
+        contacts: whether a trial goes on when head or trunk touch something.
+    """
     from nw_policies import load_bundle
 
     robot = request.robot
@@ -73,7 +82,7 @@ def ladder_plan(family: SceneLadder, request: Request, most: int) -> Plan:
         robot=robot,
         policy=request.policy,
         seed=request.seed,
-        episode={"duration": _DURATION},
+        episode={"duration": _DURATION, "contact_termination": not contacts},
     )
     changes = {field.name: getattr(request, field.name) for field in fields(request)}
     return _with_all_trials(plan(suite, **{**changes, "suite": None}), each)

@@ -212,6 +212,15 @@ def test_ladders_whose_names_are_alike_have_folders_of_their_own():
     assert folder_names(names) == ["a-b", "a-b-2", "a-b-3", "ladder"]
 
 
+def test_a_touch_ends_no_trial_where_contacts_are_allowed(tmp_path):
+    for contacts, ends in ((False, True), (True, False)):
+        found = api.limits(
+            ["hurdles/block"], policy="go1-parkour", trials=6, contacts=contacts, films=False,
+            out=tmp_path / f"{contacts}",
+        )  # fmt: skip
+        assert any(row.outcome == "collided" for row in rows_of(found)) is ends
+
+
 def test_a_seed_below_zero_is_refused(tmp_path):
     with pytest.raises(UsageError, match="--seed -1 is below 0"):
         api.limits(["stairs/up"], policy="stand", seed=-1, out=tmp_path / "new")

@@ -53,6 +53,8 @@ class Limits:
     workers: Workers = None
     no_cache: NoCache = False
     allow_code: AllowCode = False
+    contacts: bool = False
+    """Let a trial continue when head or trunk touch something, which ends it otherwise."""
     no_films: bool = False
     """Do not show a trial on either side of each limit on the page, which takes some seconds."""
     label: Label = ()
@@ -80,6 +82,7 @@ class Limits:
                 seed=self.seed,
                 out=self.out,
                 allow_code=self.allow_code,
+                contacts=self.contacts,
                 films=not self.no_films,
                 workers=self.workers,
                 cache=not self.no_cache,
