@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isinf
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
@@ -12,7 +13,7 @@ from nw_eval.cli.verbs.printed import Printed
 from nw_eval.cli.verbs.verb import Verb, verb_of
 
 if TYPE_CHECKING:
-    from nw_gate.stats.agreement import Agreement, AgreementFigure
+    from nw_gate.stats.agreement import Agreement, AgreementFigure, Gap
     from nw_gate.stats.interval import Interval
 
 
@@ -30,7 +31,7 @@ _WIDTH = 100
 _TITLES = {"pearson": "Pearson's r", "spearman": "Spearman's rho", "mmrv": "MMRV"}
 _NOTE = (
     "Intervals: of what sets of as many such policies show in the mean (jackknife over policies). "
-    "A perfect simulator has the robot's own success for every policy, and shows this in as many "
+    "A perfect simulator has the robot's own {what} for every policy, and shows this in as many "
     "trials: no worse than its worst 5 % is no sign of a fault. MMRV, the mean maximum rank "
     "violation, is best at 0."
 )
@@ -39,13 +40,10 @@ _NOTE = (
 def agreement_text(found: Agreement) -> str:
     """Return a line for each policy and figure, and what cannot be said."""
     percent = f"{100 * found.confidence:.4g} %"
-    gaps = [
-        (clean(each.policy, at_most=80), f"{each.value:+.4g}", _gap_span(each.interval))
-        if found.score != "success"
-        else (clean(each.policy, at_most=80), f"{each.value:+.3f}", _span(each.interval, "+"))
-        for each in found.gaps
-    ]
-    gap_lines = aligned([("policy", _gap_title(found), f"{percent} each alone"), *gaps], right=(1,))
+    rows = [_gap_row(found, each) for each in found.gaps]
+    right = (len(rows[0]) - 2,)
+    gap_lines = aligned([(*_titles(found), f"{percent} each alone"), *rows], right=right)
+    what = "limit" if found.score == "limit" else "success"
     if not found.figures:
         return "\n".join([*gap_lines, "", *found.remarks])
     figures = aligned(
@@ -55,7 +53,9 @@ def agreement_text(found: Agreement) -> str:
         ],
         right=(1, 3, 4),
     )
-    return "\n".join([*gap_lines, "", *figures, "", *found.remarks, fill(_NOTE, _WIDTH)])
+    return "\n".join(
+        [*gap_lines, "", *figures, "", *found.remarks, fill(_NOTE.format(what=what), _WIDTH)]
+    )
 
 
 def _line(each: AgreementFigure) -> tuple[str, ...]:
@@ -68,15 +68,35 @@ def _line(each: AgreementFigure) -> tuple[str, ...]:
     )
 
 
-def _gap_title(found: Agreement) -> str:
+def _titles(found: Agreement) -> tuple[str, ...]:
+    """Return the titles of what `_gap_row` has before the interval."""
+    if found.score == "limit":
+        return "policy", "ladder", "limit: simulator less robot"
     if found.score == "success":
-        return "simulator less robot"
+        return "policy", "simulator less robot"
     unit = f", {found.unit}" if found.unit else ""
-    return f"{found.score}{unit}: simulator less robot"
+    return "policy", f"{found.score}{unit}: simulator less robot"
 
 
-def _gap_span(interval: Interval) -> str:
-    return f"{interval.low:+.4g} to {interval.high:+.4g}"
+def _gap_row(found: Agreement, each: Gap) -> tuple[str, ...]:
+    policy = clean(each.policy, at_most=80)
+    if found.score == "success":
+        return policy, f"{each.value:+.3f}", _span(each.interval, "+")
+    if found.score == "limit":
+        ladder, unit = clean(each.ladder, at_most=80), f" {each.unit}".rstrip()
+        return policy, ladder, f"{each.value:+.3g}{unit}", _open_span(each.interval)
+    return policy, f"{each.value:+.4g}", f"{each.interval.low:+.4g} to {each.interval.high:+.4g}"
+
+
+def _open_span(interval: Interval) -> str:
+    """Return a range of which an end may be unknown."""
+    if isinf(interval.low) and isinf(interval.high):
+        return "unknown"
+    if isinf(interval.low):
+        return f"at most {interval.high:+.3g}"
+    if isinf(interval.high):
+        return f"at least {interval.low:+.3g}"
+    return f"{interval.low:+.3g} to {interval.high:+.3g}"
 
 
 def _span(interval: Interval, sign: str = "") -> str:
