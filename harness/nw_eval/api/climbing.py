@@ -19,6 +19,7 @@ from nw_base.errors import NwEvalError, UsageError
 from nw_base.files.cache import atomic_path
 from nw_eval.api.ladder_runs import Climb, folder_names, ladder_plan, rungs_ladder, title_of
 from nw_eval.api.paths import as_path
+from nw_eval.api.proposals import write_limits_suite
 from nw_eval.api.sweeping import result_folder
 from nw_eval.engine.how import How
 from nw_eval.reporting.html.limits import LadderLimit, RungFilm, film_bytes, write_limits
@@ -46,6 +47,9 @@ class FoundLimits:
     limits: tuple[LadderLimit, ...]
     interrupted: bool
     """Whether trials are missing, since somebody stopped it."""
+    not_in_suite: tuple[str, ...] = ()
+    """Ladders of which a written suite has no rung: their limits lack a bound, or their rungs are
+    no scenes."""
 
 
 def limits(
@@ -61,6 +65,7 @@ def limits(
     trials: int = MOST,
     seed: int = 1,
     out: str | PathLike[str] | None = None,
+    write_suite: str | PathLike[str] | None = None,
     allow_code: bool = False,
     contacts: bool = False,
     films: bool = True,
@@ -85,6 +90,8 @@ def limits(
         trials: trials of a ladder, at most.
         seed: of the initial states.
         out: a new or empty folder (default: `reports/limits-<number>`).
+        write_suite: file to write a suite of the rungs around the limits to; it takes the file's
+            name.
         allow_code: allow Python code of the policy's card (confined).
         contacts: let a trial continue when head or trunk touch something, which ends it otherwise.
             Policies without cameras often find obstacles by touching them.
@@ -93,7 +100,8 @@ def limits(
         how: fields of `How` by name: workers, cache, listener, labels.
 
     Raises:
-        UsageError: there is no such ladder, or an option cannot be used; nothing was run.
+        UsageError: there is no such ladder, or an option cannot be used; nothing was run. Or there
+            is no limit to write a suite of.
         SceneError, PolicyError, PrerequisiteError: nothing was run.
         StoreError: results cannot be written.
     """
@@ -105,6 +113,12 @@ def limits(
     families = _families(ladders)
     for family in families:  # What cannot be used is said before anything runs.
         _search(family, share, confidence, width, trials)
+    file = as_path(write_suite)
+    if file is not None and all(family.rungs[0].perturbation for family in families):
+        raise UsageError(
+            f"--write-suite {file}: rungs of {families[0].name} are perturbations, no scenes",
+            fix="name a ladder of scenes, or drop --write-suite",
+        )
     if not allow_code:
         prepare()
     path = None if checkpoint is None else as_path(checkpoint)
@@ -160,7 +174,16 @@ def limits(
         shown, remarks = _filmed(whole.limits, results, cache=means.cache)
         whole = replace(whole, limits=shown)
         write_limits(shown, folder, remarks)
-    return whole
+    if file is None:
+        return whole
+    left = write_limits_suite(
+        file,
+        [each for each in whole.limits if each.policy == labels[0]],
+        robot=robot or plans[0][1][0].bundle.card.robot,
+        policy=policy,
+        seed=seed,
+    )
+    return replace(whole, not_in_suite=left)
 
 
 def _filmed(

@@ -11,11 +11,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_base.errors import UsageError
+from nw_base.errors import UsageError, nearest
 
 if TYPE_CHECKING:
+    from nw_eval.reporting.html.limits import LadderLimit
     from nw_gate.limits.limit import Limit
+    from nw_gate.limits.with_robot import MeasuredLimit
     from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.real import RealLimit
     from nw_gate.results.row import Row
     from nw_gate.side_by_side import Entrant, PolicyComparison
     from nw_gate.stats.agreement import Agreement
@@ -136,22 +139,25 @@ def sim2real(
 ) -> Agreement:
     """Say how well the simulator ranks policies as the robot does.
 
-    A policy of the CSV is named as in its run, or by the name of its run's folder or its baseline.
+    A policy of the CSV is named as in its run, or by the name of its run's folder or its baseline;
+    with limits, as `nw-eval limits` names it.
 
     Args:
-        real: a CSV with the columns policy, scene, trials, success (0 to 1).
-        runs: run folders, and baselines by path or, beside a run, by name; other policies are
-            ignored.
+        real: a CSV with the columns policy, scene, trials, success (0 to 1); of limits policy,
+            ladder and limit, or lower (cleared) and upper (not cleared), in the ladder's unit.
+        runs: run folders, and baselines by path or, beside a run, by name; or folders of
+            `nw-eval limits`; other policies are ignored.
         confidence: confidence level, per interval.
         score: compare this score of the runs in place of success; the CSV has a column of that
             name, in the score's unit. Gaps are in that unit.
 
     Raises:
-        UsageError: the CSV is none, or names a policy or scene that no run has; there is no run;
-            or the confidence is not between 0 and 1.
+        UsageError: the CSV is none, or names a policy, scene or ladder that no run has; there is no
+            run, or limits are among them and runs, too; or the confidence is not between 0 and 1.
         IncomparableError: the runs differ in suite, scenes or simulator; each field is named.
         StoreError: rows are damaged.
     """
+    from nw_eval.api.saved_limits import limits_file
     from nw_gate.results.real import read_real_results
     from nw_gate.side_by_side import measured, score_of
     from nw_gate.stats.agreement import agreement
@@ -160,6 +166,9 @@ def sim2real(
     check_share(confidence)
     if not runs:
         raise UsageError("no run to compare the robot with", fix="name the runs of its policies")
+    limits = [path for path in map(Path, runs) if limits_file(path)]
+    if limits:
+        return _of_limits(Path(real), limits, [str(x) for x in runs], confidence, score)
     policies = entrants(runs)
     spec = None if score in {None, "success"} else score_of(str(score), policies)
     results = read_real_results(Path(real), spec)
@@ -176,3 +185,76 @@ def sim2real(
         for gap in agreed.gaps
     )
     return replace(agreed, gaps=gaps, score=spec.name, unit=spec.unit)
+
+
+def _of_limits(
+    real: Path, folders: Sequence[Path], given: Sequence[str], confidence: float, score: str | None
+) -> Agreement:
+    """Return how well simulated limits agree with those of the robot.
+
+    Args:
+        real: the CSV.
+        folders: of limits.
+        given: all that was named.
+        confidence: as for `sim2real`.
+        score: as there.
+    """
+    from nw_eval.api.saved_limits import read_limits
+    from nw_gate.limits.with_robot import agreement_of_limits
+    from nw_gate.results.real import read_real_limits
+
+    if len(folders) < len(given):
+        other = next(each for each in given if Path(each) not in folders)
+        raise UsageError(
+            f"{folders[0]} holds limits, and {other} does not",
+            fix="compare limits and runs one after the other",
+        )
+    if score is not None:
+        raise UsageError(f"--score {score} with limits", fix="drop --score")
+    saved = [each for folder in folders for each in read_limits(folder)]
+    measured = [_measured_limit(line, saved) for line in read_real_limits(real)]
+    return agreement_of_limits(measured, confidence)
+
+
+def _measured_limit(line: RealLimit, saved: Sequence[LadderLimit]) -> MeasuredLimit:
+    """Return a limit of the robot with the simulated one of that policy and ladder.
+
+    Raises:
+        UsageError: there is none, or two; or the cleared value is harder than the failed one.
+    """
+    from nw_gate.limits.with_robot import MeasuredLimit
+
+    own = [each for each in saved if each.policy == line.policy]
+    if not own:
+        raise UsageError(
+            f"{line.place}: policy {line.policy!r} has no limit in the simulator",
+            fix=nearest(line.policy, {each.policy for each in saved}),
+        )
+    found = [each for each in own if each.ladder == line.ladder]
+    if not found:
+        raise UsageError(
+            f"{line.place}: {line.policy} has no limit on ladder {line.ladder!r}",
+            fix=nearest(line.ladder, {each.ladder for each in own}),
+        )
+    if len(found) > 1:
+        raise UsageError(
+            f"{line.place}: the limit of {line.policy} on {line.ladder} is in {found[0].run} "
+            f"and in {found[1].run}",
+            fix="name one of them",
+        )
+    limit = found[0].limit
+    if line.lower is not None and line.upper is not None:
+        harder = line.lower > line.upper if limit.ladder.rises else line.lower < line.upper
+        if harder:
+            raise UsageError(
+                f"{line.place}: lower {line.lower:g} was cleared and is harder than upper "
+                f"{line.upper:g}",
+                fix="lower is the hardest value that was cleared, upper the easiest that was not",
+            )
+    return MeasuredLimit(
+        policy=line.policy,
+        ladder=line.ladder,
+        simulated=limit,
+        lower=line.lower,
+        upper=line.upper,
+    )

@@ -1,7 +1,7 @@
-"""Limits that `nw-eval limits` wrote: read from their folder, and held against the trials there.
+"""Limits that `nw-eval limits` wrote, read from their folder again.
 
-A folder may be somebody else's. Its limits count if each run of it is as it was when it ended, and
-has the trials that the limit rests on.
+A folder may be somebody else's. For a public page its limits count if each run of it is as it was
+when it ended, and has the trials that the limit rests on.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nw_base.clean import clean
-from nw_base.errors import StoreError
-from nw_base.files.inside import OutsideError, bounded_bytes, inside
-from nw_eval.api.reports import as_published
+from nw_base.errors import StoreError, UsageError
+from nw_base.files.inside import OutsideError, bounded_bytes, inside, what_is
 from nw_eval.reporting.html.limits import LadderLimit
 from nw_gate.limits.limit import Limit
 
@@ -24,43 +23,73 @@ if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
     from nw_gate.results.row import Row
 
-LIMITS_FILE = "limits.json"
+_NAME = "limits.json"
 _MOST = 16 * 2**20
-"""Bytes of a limits.json that is read."""
+"""Bytes of a file."""
+_FIX = "find the limits anew with `nw-eval limits`"
 
 
-def is_limits(folder: Path) -> bool:
-    """Say whether a folder holds what `nw-eval limits` wrote."""
-    return (folder / LIMITS_FILE).is_file() and not (folder / LIMITS_FILE).is_symlink()
+def limits_file(path: Path) -> Path | None:
+    """Return the file of limits that a path names or that its folder holds; None if it is none."""
+    if path.name == _NAME and what_is(path) == "file":
+        return path
+    return path / _NAME if what_is(path / _NAME) == "file" else None
 
 
-def read_limits(folder: Path) -> list[tuple[LadderLimit, RunReport]]:
+def read_limits(path: Path) -> tuple[LadderLimit, ...]:
+    """Return the limits in a folder of `nw-eval limits`, or in its `limits.json`.
+
+    Raises:
+        UsageError: there is no such file.
+        StoreError: it cannot be read, or is none.
+    """
+    file = limits_file(path)
+    if file is None:
+        raise UsageError(
+            f"{path} holds no limits (no {_NAME} in it)",
+            fix="name a folder that `nw-eval limits` wrote",
+        )
+    try:
+        return _read(file)
+    except StoreError as error:
+        raise StoreError(f"{file}: {error.message}", fix=_FIX) from None
+    except KeyError as error:
+        raise StoreError(f"{file} lacks {error}", fix=_FIX) from None
+    except (OSError, ValueError, TypeError, RecursionError, OutsideError) as error:
+        raise StoreError(f"{file} cannot be read: {error}", fix=_FIX) from None
+
+
+def verified_limits(folder: Path) -> list[tuple[LadderLimit, RunReport]]:
     """Return the limits of a folder, each with the run of its trials.
 
     Raises:
         StoreError: limits.json is damaged, or a run has other trials than its limit.
-        UsageError: a run is missing.
+        UsageError: it, or a run, is missing.
     """
-    path = folder / LIMITS_FILE
-    try:
-        saved: list[dict[str, Any]] = json.loads(bounded_bytes(path, _MOST))["limits"]
-        named = [
-            LadderLimit(
-                policy="",
-                ladder=clean(str(each["ladder"]), at_most=100),
-                title=clean(str(each["title"]), at_most=200),
-                limit=Limit.from_dict(each["limit"]),
-                run=inside(folder, str(each["run"])),
-                errors=int(each["errors"]),
-            )
-            for each in saved
-        ]
-    except (OSError, ValueError, TypeError, KeyError, RecursionError, OutsideError) as error:
-        raise StoreError(f"{path} cannot be read: {error}", fix="run the search again") from error
-    return [_with_run(each) for each in named]
+    return [_with_run(each) for each in read_limits(folder)]
+
+
+def _read(file: Path) -> tuple[LadderLimit, ...]:
+    content = json.loads(bounded_bytes(file, _MOST))
+    if content["nw-limits"] != 1:
+        raise ValueError(f"its version is {content['nw-limits']!r}, not 1")
+    return tuple(_saved(each, file) for each in content["limits"])
+
+
+def _saved(entry: Any, file: Path) -> LadderLimit:
+    return LadderLimit(
+        policy=clean(str(entry["policy"]), at_most=200),
+        ladder=clean(str(entry["ladder"]), at_most=200),
+        title=clean(str(entry["title"]), at_most=200),
+        limit=Limit.from_dict(entry["limit"]),
+        run=inside(file.parent, str(entry["run"])),
+        errors=int(entry["errors"]),
+    )
 
 
 def _with_run(each: LadderLimit) -> tuple[LadderLimit, RunReport]:
+    from nw_eval.api.reports import as_published
+
     judged = as_published(each.run)
     if _tried(judged.rows) != Counter(
         (done, tried)
@@ -68,8 +97,7 @@ def _with_run(each: LadderLimit) -> tuple[LadderLimit, RunReport]:
         if tried
     ):
         raise StoreError(
-            f"the limit on {each.ladder} is not of the trials of {each.run.name}",
-            fix="run the search again",
+            f"the limit on {each.ladder} is not of the trials of {each.run.name}", fix=_FIX
         )
     return replace(each, policy=judged.info.policy.folder_name), judged
 

@@ -135,7 +135,7 @@ def _folders(
     Raises:
         UsageError: one does not exist, or none is a run's or of limits.
     """
-    from nw_eval.api.saved_limits import is_limits
+    from nw_eval.api.saved_limits import limits_file
     from nw_gate.results.run_folder import find_run_folder
 
     folders: dict[Path, None] = {}
@@ -143,7 +143,7 @@ def _folders(
     skipped: list[Path] = []
     fault = UsageError(f"no run to {what}", fix="name the folders of some")
     for path in map(Path, runs):
-        if is_limits(path):
+        if limits_file(path):
             limits[path.resolve()] = None
             continue
         try:
@@ -188,7 +188,7 @@ def _listed_limits(
         unread: gets a sentence on each folder that cannot be read.
     """
     from nw_eval.api.reports import fault_of
-    from nw_eval.api.saved_limits import read_limits
+    from nw_eval.api.saved_limits import verified_limits
     from nw_eval.reporting.html.limits import write_limits
     from nw_eval.reporting.html.runs import ListedLimit, ListedRun
 
@@ -197,7 +197,7 @@ def _listed_limits(
         digest = sha256(os.fsencode(folder)).hexdigest()[:8]
         name = f"{re.sub(r'[^A-Za-z0-9_-]+', '-', folder.name)[:80]}-{digest}"
         try:
-            limits = read_limits(folder)
+            limits = verified_limits(folder)
             made_place(page.with_name(beside) / name)
             write_limits([each for each, _ in limits], page.with_name(beside) / name)
         except Exception as error:  # noqa: BLE001 - As for a run.

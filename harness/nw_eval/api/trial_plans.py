@@ -11,11 +11,13 @@ from nw_eval.api.paths import as_path
 from nw_eval.api.renamed import keywords_were
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Sequence
     from os import PathLike
 
+    from nw_eval.api.proposals import MeasuredPolicy
     from nw_eval.engine.plan import Forecast, Plan
     from nw_eval.suite import Suite
+    from nw_gate.baseline.informative import Item, Proposal
     from nw_gate.baseline.power_forecast import Outset
     from nw_gate.baseline.scores import ScoreForecast
     from nw_gate.results.request import Request
@@ -43,6 +45,14 @@ class TrialPlan:
     workers: int | None
     scores: tuple[ScoreForecast, ...] = ()
     """What it makes of each gated score."""
+    items: tuple[Item, ...] = ()
+    """What a trial of each scene, and of each measured rung, says of a policy of the drop."""
+    proposal: Proposal | None = None
+    """A suite that costs as much and finds the drop in fewer trials, where one was asked for."""
+    ladders: tuple[str, ...] = ()
+    """Ladders of the same classes, none of which was measured."""
+    policy: str = ""
+    """What a command calls the policy that was measured; empty where that is not known."""
 
     def minutes(self, trials: float) -> float:
         """Return about how many minutes so many trials take at most."""
@@ -81,6 +91,8 @@ def plan_trials(
     run: str | Path | None = None,
     out: str | PathLike[str] | None = None,
     workers: int | None = None,
+    limits: Sequence[str | PathLike[str]] = (),
+    write_suite: str | PathLike[str] | None = None,
 ) -> TrialPlan | BarPlan:
     """Return how many trials it takes to flag a drop, and what else the suite's gate sees.
 
@@ -97,10 +109,13 @@ def plan_trials(
             success.
         out: file to draw the curve into.
         workers: processes assumed for the estimate in minutes (default: one per core).
+        limits: folders of `nw-eval limits` of the same policy; a suite is proposed, in which their
+            rungs may replace scenes that tell nothing.
+        write_suite: file to write a proposed suite to; it takes the file's name.
 
     Raises:
-        UsageError: there is neither a baseline nor a run, the run is a part of one, or no policy
-            can drop by `detect`.
+        UsageError: there is neither a baseline nor a run, the run is a part of one, no policy can
+            drop by `detect`, or no suite can be proposed and one is to be written.
         SuiteError, PolicyError: as `plan`.
         StoreError: the baseline or the run is damaged, or the picture cannot be written.
         IncomparableError: the baseline or the run has other scenes than the suite.
@@ -109,7 +124,7 @@ def plan_trials(
     from nw_eval.api.plans import plan
     from nw_eval.engine.how import check_workers
 
-    out = as_path(out)
+    out, file = as_path(out), as_path(write_suite)
     check_workers(workers)
     if baseline is not None and run is not None:
         raise UsageError("--baseline and --run exclude each other", fix="drop one of them")
@@ -125,8 +140,13 @@ def plan_trials(
                     "--out without a baseline: the curve is of drops against one",
                     fix="name a baseline with --baseline, or a run of the suite with --run",
                 )
+            if limits or file is not None:
+                raise UsageError(
+                    "no baseline to propose a suite with",
+                    fix="name one with --baseline, or a run of the suite with --run",
+                )
             return _of_bar(resolved, gate.success_rate)
-    source, outset = (
+    policy, outset = (
         _of_baseline(resolved, baseline or resolved.suite.gate.baseline)
         if run is None
         else _of_run(resolved, Path(run))
@@ -139,7 +159,7 @@ def plan_trials(
         )
     planned = TrialPlan(
         suite=resolved.suite.name,
-        source=source,
+        source=policy.source,
         outset=outset,
         detect=drop,
         dropped=outset.progress(drop),
@@ -150,9 +170,43 @@ def plan_trials(
     )
     if run is None and gate.scores:
         planned = replace(planned, scores=_of_scores(resolved, baseline or gate.baseline))
+    planned = _proposed(planned, policy, [Path(each) for each in limits], file)
     if out is not None:
         _draw(planned, out)
     return planned
+
+
+def _proposed(
+    planned: TrialPlan, policy: MeasuredPolicy, limits: Sequence[Path], file: Path | None
+) -> TrialPlan:
+    """Return a plan with what scenes tell; with a proposed suite where one is asked for."""
+    from nw_eval.api import proposals
+    from nw_gate.baseline.informative import items_of, propose
+
+    resolved, outset = planned.resolved, planned.outset
+    scenes = [scene.name for scene in resolved.scenes]
+    measured = proposals.measured_rungs(limits, policy, resolved.suite.robot, scenes)
+    items = items_of(outset, planned.detect, measured.rungs)
+    planned = replace(planned, items=items, policy=policy.typed)
+    if not measured.rungs:
+        planned = replace(planned, ladders=proposals.ladders_like(scenes))
+    if not limits and file is None:
+        return planned
+    if resolved.suite.perturb.cells != ((),):
+        raise UsageError(
+            f"suite {planned.suite!r} has perturbations, and a suite is proposed only without",
+            fix="drop --limits and --write-suite, or leave `perturb` out of the suite",
+        )
+    found = propose(outset, items, planned.detect)
+    if file is not None:
+        if found is None:
+            raise UsageError(
+                f"--write-suite {file}: no suite of these scenes finds a drop of "
+                f"{planned.detect:g} in fewer trials",
+                fix="measure rungs with `nw-eval limits`, and name its folder with --limits",
+            )
+        proposals.write_proposal(file, resolved, found, policy, measured.seeds)
+    return replace(planned, proposal=found)
 
 
 def _of_scores(resolved: Plan, reference: str | None) -> tuple[ScoreForecast, ...]:
@@ -217,17 +271,24 @@ def _draw(planned: TrialPlan, png: Path) -> None:
     )
 
 
-def _of_baseline(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
-    """Return what a baseline is, in words, and what is known with it."""
+def _of_baseline(resolved: Plan, reference: str | None) -> tuple[MeasuredPolicy, Outset]:
+    """Return whose results a baseline has, and what is known with it."""
+    from nw_eval.api.proposals import MeasuredPolicy
     from nw_gate.baseline.power_forecast import outset_of_baseline
     from nw_gate.results.baseline_file import read_baseline
 
     suite = resolved.suite
     baseline = read_baseline(_baseline_file(suite, reference))
-    manifest = baseline.manifest
-    source = f"baseline {manifest.name} of {manifest.policy.name}"
-    _check(resolved, source, manifest.key.suite_digest, manifest.key.scenes)
-    return source, outset_of_baseline(baseline.panels[0], suite.gate)
+    manifest, own = baseline.manifest, baseline.manifest.policy
+    policy = MeasuredPolicy(
+        source=f"baseline {manifest.name} of {own.name}",
+        name=own.name,
+        typed="" if own.typed == "PATH" else own.typed,
+        digests=(own.checkpoint_digest, own.card_digest),
+        key=manifest.key,
+    )
+    _check(resolved, policy)
+    return policy, outset_of_baseline(baseline.panels[0], suite.gate)
 
 
 def _baseline_file(suite: Suite, reference: str | None) -> Path:
@@ -257,31 +318,41 @@ def _only_baseline(suite: str) -> Path:
     )
 
 
-def _of_run(resolved: Plan, folder: Path) -> tuple[str, Outset]:
-    """Return what a run is, in words, and what is known with it."""
+def _of_run(resolved: Plan, folder: Path) -> tuple[MeasuredPolicy, Outset]:
+    """Return whose results a run has, and what is known with it."""
     from nw_eval.api.baselines_saved import starts_for
+    from nw_eval.api.proposals import MeasuredPolicy
     from nw_eval.api.saved_run import check_whole, saved_rows
     from nw_gate.baseline.power_forecast import outset_of_rows
+    from nw_gate.results.baseline import key_of
     from nw_gate.results.provenance import read_run_info
     from nw_gate.results.run_folder import open_run_folder
 
     opened = open_run_folder(folder)
     info = check_whole(read_run_info(opened.run_json))
     rows = saved_rows(opened, info)
-    source = f"run {info.id} of {info.policy.name}"
-    scenes = {name: scene.digest for name, scene in info.scenes.items()}
-    _check(resolved, source, info.suite_digest, scenes)
-    return source, outset_of_rows(
-        rows, resolved.suite.gate, starts_for(len(scenes) * len(resolved.suite.perturb.cells))
+    policy = MeasuredPolicy(
+        source=f"run {info.id} of {info.policy.name}",
+        name=info.policy.name,
+        typed="",
+        digests=(info.policy.checkpoint_digest, info.policy.card_digest),
+        key=key_of(info),
+    )
+    _check(resolved, policy)
+    return policy, outset_of_rows(
+        rows,
+        resolved.suite.gate,
+        starts_for(len(policy.key.scenes) * len(resolved.suite.perturb.cells)),
     )
 
 
-def _check(resolved: Plan, source: str, suite_digest: str, scenes: Mapping[str, str]) -> None:
+def _check(resolved: Plan, policy: MeasuredPolicy) -> None:
     """Refuse trials of another suite.
 
     Raises:
         IncomparableError: naming what differs.
     """
+    suite_digest, scenes = policy.key.suite_digest, policy.key.scenes
     suite, ours = resolved.suite, {scene.name: scene.digest for scene in resolved.scenes}
     differing = sorted(name for name, _ in {*ours.items()} ^ {*scenes.items()})
     if differing:
@@ -291,7 +362,7 @@ def _check(resolved: Plan, source: str, suite_digest: str, scenes: Mapping[str, 
     else:
         return
     raise IncomparableError(
-        f"{source} is not of suite {suite.name!r} as it is: {fault}",
+        f"{policy.source} is not of suite {suite.name!r} as it is: {fault}",
         fix=f"repeat it with `nw-eval run {suite.name}` or `nw-eval baseline save {suite.name}`",
     )
 

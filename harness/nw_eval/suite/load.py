@@ -319,7 +319,7 @@ def write_ready_suite(
         check_has_policy(robot)
     text: dict[str, Any] = {
         "nw-eval": 1,
-        "name": re.sub(r"[^A-Za-z0-9_.-]", "-", name)[:_LONGEST_NAME],
+        "name": suite_name(name),
         "robot": robot,
         "policy": policy or _POLICIES[robot],
         "trials": max(_FEWEST, 2 * needed),
@@ -331,8 +331,41 @@ def write_ready_suite(
     }
     if perturb:
         text["perturb"] = {axis: list(values) for axis, values in perturb.items()}
-    head = _ABOUT.get(robot, "") + _HEAD if policy in {None, _POLICIES.get(robot)} else _HEAD
+    head = _ABOUT.get(robot, "") if policy in {None, _POLICIES.get(robot)} else ""
+    write_suite(path, text, head)
+
+
+def write_suite(path: Path, settings: Mapping[str, Any], head: str = "") -> None:
+    """Write the file of a suite, whole or not at all.
+
+    Args:
+        path: of the file.
+        settings: what the file says.
+        head: comments above it, each line with its end.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
     # None: a list of names on one line.
-    content = head + _yaml(text, default_flow_style=None)
+    content = head + _HEAD + _yaml(_plain(settings), default_flow_style=None)
     with atomic_path(followed(path)) as temporary:
         temporary.write_text(content, encoding="utf-8")
+
+
+def suite_name(text: str) -> str:
+    """Return a text as a suite may be called: what no name may hold becomes a dash."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "-", text)[:_LONGEST_NAME]
+
+
+def entry_from(folder: Path, reference: str, base: Path | None = None) -> str:
+    """Return what names a scene, robot or policy in a suite of a folder, where its paths start.
+
+    Args:
+        folder: of the suite.
+        reference: a name, or a path.
+        base: folder that the path starts from; the working folder by default.
+    """
+    place = (Path() if base is None else base) / reference
+    if not reference.startswith((".", "/")) and (":" in reference or not place.exists()):
+        return reference
+    return robot_from(folder, str(place))

@@ -31,6 +31,7 @@ from nw_gate.stats.baseline.curve import (
     KINDS,
     ComparisonKind,
     CurvePoint,
+    Kind,
     Progress,
     operating_curve,
     progress_at,
@@ -59,8 +60,10 @@ _FEWEST, _DRAWS = 200, 2_000_000
 class Outset:
     """What is known of a gate before its first trial."""
 
+    strata: tuple[Stratum, ...]
+    """Scenes (and cells of perturbations) that count."""
     seen: tuple[SceneCounts, ...]
-    """The baseline's trials in each scene (and cell of perturbations) that counts."""
+    """The baseline's trials in each of them."""
     rules: TrialRules
     budget: int
     """Most trials of scenes that count."""
@@ -99,24 +102,25 @@ class Outset:
     def power_forecast(self) -> Forecast:
         """Return three points of the curve, fast: no drop, half of max_drop, and max_drop."""
         worst = self.rules.margins.max_drop
-        of_kinds = [
-            operating_curve(
-                self.seen,
-                self.rules,
-                budget=self.budget,
-                starts=self._drawn,
-                drops=(0.0, worst / 2, worst),
-                repetitions=self._few,
-                against=self.against,
-                kind=kind,
-            )
-            for kind in KINDS
-        ]
+        of_kinds = [self.points((0.0, worst / 2, worst), kind) for kind in KINDS]
         same, half, worse = zip(*of_kinds, strict=True)
         return same, half, worse
 
+    def points(self, drops: Sequence[float], kind: Kind = KINDS[0]) -> tuple[CurvePoint, ...]:
+        """Return some points of the curve, fast, of policies that fail in one way."""
+        return operating_curve(
+            self.seen,
+            self.rules,
+            budget=self.budget,
+            starts=self._drawn,
+            drops=drops,
+            repetitions=self.few,
+            against=self.against,
+            kind=kind,
+        )
+
     @property
-    def _few(self) -> int:
+    def few(self) -> int:
         """Repetitions that take about as long whatever the size of the baseline."""
         return max(_FEWEST, min(_FEW, _DRAWS // (self.starts * len(self.seen))))
 
@@ -230,7 +234,14 @@ def _outset(
         )
     rules = rules_of(gate, judged)
     budget = min(gate.rounds_for(len(seen), starts), starts) * len(seen)
-    return Outset(seen=seen, rules=rules, budget=budget, starts=starts, known=known)
+    return Outset(
+        strata=tuple(judged),
+        seen=seen,
+        rules=rules,
+        budget=budget,
+        starts=starts,
+        known=known,
+    )
 
 
 def _counts(trials: Sequence[Start] | Sequence[Row]) -> SceneCounts:

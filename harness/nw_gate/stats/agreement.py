@@ -85,7 +85,12 @@ class Gap:
     policy: str
     value: float
     interval: Interval
-    """Newcombe's, for this policy alone; rather too wide where trials score between 0 and 1."""
+    """Newcombe's, for this policy alone; rather too wide where trials score between 0 and 1. Of a
+    limit, as `limits.with_robot` has it."""
+    ladder: str = ""
+    """Of a limit."""
+    unit: str = ""
+    """Of a limit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,25 +133,6 @@ def agreement(measured: Sequence[Measured], confidence: float = 0.95) -> Agreeme
         )
         for each in measured
     )
-    figures, remarks = _figures(measured, confidence)
-    return Agreement(
-        policies=len(measured),
-        confidence=confidence,
-        figures=tuple(figures),
-        gaps=gaps,
-        remarks=tuple(remarks),
-    )
-
-
-def _figures(
-    measured: Sequence[Measured], confidence: float
-) -> tuple[list[AgreementFigure], list[str]]:
-    """Return the figures that can be had, and why others cannot."""
-    if len(measured) < FEWEST:
-        count = plural(len(measured), "policy", "policies")
-        return [], [
-            f"nothing can be said of rank or correlation from {count}: at least {FEWEST} are needed"
-        ]
     real, simulated = (
         np.array([getattr(each, side) for each in measured], dtype=np.float64)
         for side in ("real", "simulated")
@@ -155,7 +141,40 @@ def _figures(
         np.array([each.real_trials for each in measured], dtype=np.int64),
         np.array([each.simulated_trials for each in measured], dtype=np.int64),
     )
-    floors = perfect_simulator(likely_rates(real, simulated, *trials), *trials)
+    figures, remarks = figures_of(
+        real,
+        simulated,
+        lambda: perfect_simulator(likely_rates(real, simulated, *trials), *trials),
+        confidence,
+    )
+    return Agreement(
+        policies=len(measured),
+        confidence=confidence,
+        figures=figures,
+        gaps=gaps,
+        remarks=remarks,
+    )
+
+
+def figures_of(
+    real: Floats,
+    simulated: Floats,
+    perfect: Callable[[], Mapping[FigureName, Floor]],
+    confidence: float,
+) -> tuple[tuple[AgreementFigure, ...], tuple[str, ...]]:
+    """Return the figures that can be had, and why others cannot.
+
+    Args:
+        real: of the policies on the robot, 0 to 1, shape (N,).
+        simulated: of the same policies in the simulator, shape (N,).
+        perfect: returns what perfect simulators show; not called for few policies.
+        confidence: two-sided, of every interval.
+    """
+    if len(real) < FEWEST:
+        count = plural(len(real), "policy", "policies")
+        text = f"nothing can be said of rank or correlation from {count}"
+        return (), (f"{text}: at least {FEWEST} are needed",)
+    floors = perfect()
     figures: list[AgreementFigure] = []
     for name, figure in FIGURES.items():
         interval = jackknife(name, real, simulated, confidence)
@@ -165,11 +184,11 @@ def _figures(
                 AgreementFigure(name=name, value=value, interval=interval, perfect=floors[name])
             )
     sides = (("on the robot", real), ("in the simulator", simulated))
-    return figures, [
+    return tuple(figures), tuple(
         f"nothing can be said of correlation: all policies did equally well {where}"
         for where, success in sides
         if np.ptp(success) == 0.0
-    ]
+    )
 
 
 def _check(measured: Sequence[Measured]) -> None:
@@ -272,6 +291,11 @@ def perfect_simulator(
     chosen = np.broadcast_to(chosen, shape)
     real = rng.binomial(real_trials, chosen) / real_trials
     simulated = rng.binomial(simulated_trials, chosen) / simulated_trials
+    return floors_of(real, simulated)
+
+
+def floors_of(real: Floats, simulated: Floats) -> Mapping[FigureName, Floor]:
+    """Return the figures of draws of what perfect simulators show, both of shape (D, N)."""
     return {name: _floor(name, figure(real, simulated)) for name, figure in FIGURES.items()}
 
 

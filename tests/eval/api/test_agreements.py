@@ -1,13 +1,17 @@
 """A robot's results beside those of runs, from a CSV to what can be said of them."""
 
+import json
 import subprocess
 import sys
+from math import inf
 
 import pytest
 from command_line import ends
 
 import nw_eval
-from nw_base.errors import IncomparableError, UsageError
+from nw_base.errors import IncomparableError, StoreError, UsageError
+from nw_gate.limits.ladder import Ladder
+from nw_gate.limits.limit import Limit
 from nw_gate.results.baseline import (
     BaselineKey,
     BaselinePolicy,
@@ -188,3 +192,137 @@ def test_agreement_imports_no_simulation(baselines, tmp_path):
         check=True,
     )
     assert done.stdout == "set()\n"
+
+
+RUNGS = {"bars": (0.1, 0.2, 0.3, 0.4, 0.5), "clearance": (0.7, 0.6, 0.5, 0.4)}
+
+
+def save_limits(folder, limits):
+    """Save limits.json of policies that complete 40 trials at one rung and none at the next."""
+    entries = []
+    for policy, ladder, cleared in limits:
+        rungs = RUNGS[ladder]
+        done = [(cleared, True)] * 40 if cleared >= 0 else []
+        failed = [(cleared + 1, False)] * 40 if cleared + 1 < len(rungs) else []
+        limit = Limit(
+            ladder=Ladder(name=ladder, rungs=rungs, unit="m"),
+            share=0.5,
+            confidence=0.95,
+            width=1,
+            trials=(*done, *failed),
+            staked=len(done) + len(failed),
+        )
+        entry = {"policy": policy, "ladder": ladder, "limit": limit.as_dict(), "run": "bars/1"}
+        entries.append(entry)
+    folder.mkdir()
+    text = json.dumps({"nw-limits": 1, "limits": entries})
+    (folder / "limits.json").write_text(text, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture
+def limits(tmp_path):
+    """The limits of five policies on bars, and of the first one under boards."""
+    return save_limits(
+        tmp_path / "limits",
+        [*((f"p{k}", "bars", k - 1) for k in range(1, 6)), ("p1", "clearance", 1)],
+    )
+
+
+def test_a_limit_of_the_robot_is_within_the_bounds_of_the_simulated_one(limits, tmp_path):
+    real = csv(tmp_path, "policy,ladder,limit\np2,bars,0.25\np1,clearance,0.55\n")
+    bars, clearance = nw_eval.sim2real(real, [limits]).gaps
+    # p2 clears 0.2 m and not 0.3 m: 0.25 m is midway.
+    assert (bars.value, bars.unit) == (pytest.approx(0.0, abs=0.005), "m")
+    assert (bars.interval.low, bars.interval.high) == pytest.approx((-0.05, 0.05))
+    # p1 clears 0.6 m of clearance and not 0.5 m.
+    assert clearance.value == pytest.approx(0.0, abs=0.005)
+    assert (clearance.interval.low, clearance.interval.high) == pytest.approx((-0.05, 0.05))
+
+
+def test_bounds_of_both_worlds_give_all_differences_and_a_bound_that_lacks_leaves_it_open(
+    limits, tmp_path
+):
+    real = csv(
+        tmp_path,
+        "policy;ladder;lower;upper\np2;bars;0,30;0,40\np3;bars;0,35;\np5;bars;0,3;0,4\n",
+    )
+    both, no_upper, all_cleared = nw_eval.sim2real(real, [limits / "limits.json"]).gaps
+    assert both.value == pytest.approx(0.25 - 0.35, abs=0.005)
+    assert (both.interval.low, both.interval.high) == pytest.approx((0.2 - 0.4, 0.3 - 0.3))
+    assert no_upper.interval == (-inf, pytest.approx(0.4 - 0.35))
+    assert all_cleared.interval == (pytest.approx(0.5 - 0.4), inf)
+
+
+def test_five_limits_are_ranked_as_success_is(limits, tmp_path, capsys):
+    values = (0.12, 0.24, 0.22, 0.4, 0.5)
+    lines = "".join(f"p{k},bars,{x}\n" for k, x in enumerate(values, 1))
+    real = csv(tmp_path, "policy,ladder,limit\n" + lines)
+    found = nw_eval.sim2real(real, [limits])
+    figures = {each.name: each for each in found.figures}
+    # By hand: p2 and p3 swap; 0.02 m of a ladder of 0.4 m is .05, for two of five policies.
+    assert figures["mmrv"].value == pytest.approx(2 * 0.05 / 5)
+    # Spearman with one swap of neighbours among five: 1 - 6 * 2 / (5 * 24).
+    assert figures["spearman"].value == pytest.approx(0.9)
+    assert 0.0 <= figures["mmrv"].perfect.mean <= figures["mmrv"].perfect.worst
+    assert not ends("sim2real", real, limits)
+    printed = capsys.readouterr().out
+    assert "limit: simulator less robot" in printed
+    assert "p5      bars" in printed
+    assert "at least" in printed
+    assert not ends("sim2real", real, limits, "--json")
+    saved = json.loads(capsys.readouterr().out)
+    assert (saved["score"], saved["gaps"][4]["interval"]["high"]) == ("limit", None)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("policy,ladder\n", "lacks the column lower; write a heading `policy,ladder,limit` or"),
+        ("policy,limit\n", "lacks the column ladder"),
+        ("policy,ladder,limit\n", "has no results"),
+        ("policy,ladder,limit\np1,bars,\n", r"real\.csv:2:1: it has no limit"),
+        ("policy,ladder,limit\np1,bars,high\n", "limit 'high' is no number"),
+        ("policy,ladder,limit\np1,bars,inf\n", "limit 'inf' is no number"),
+        ("policy,ladder,limit\n,bars,0.2\n", "it names no policy or no ladder"),
+        ("policy,ladder,limit\n" + 2 * "p1,bars,0.2\n", r"csv:3:1: policy 'p1' on ladder 'bars'"),
+        ("policy,ladder,limit\np9,bars,0.2\n", r"csv:2: policy 'p9' has no limit in the simul"),
+        ("policy,ladder,limit\np1,bar,0.2\n", r"p1 has no limit on ladder 'bar'; did you mean"),
+        ("policy,ladder,lower,upper\np1,bars,0.3,0.2\n", "lower 0.3 was cleared and is harder"),
+        ("policy,ladder,lower,upper\np1,clearance,0.4,0.5\n", "lower 0.4 was cleared and is har"),
+        ("policy,ladder,lower,upper\np1,bars,,\n", "it has no limit"),
+    ],
+)
+def test_limits_of_a_robot_that_cannot_be_used_are_named_with_their_line(
+    limits, tmp_path, text, message
+):
+    with pytest.raises(UsageError, match=message):
+        nw_eval.sim2real(csv(tmp_path, text), [limits])
+
+
+def test_limits_are_not_mixed_with_runs_scores_or_each_other(limits, baselines, tmp_path):
+    real = csv(tmp_path, "policy,ladder,limit\np1,bars,0.2\n")
+    with pytest.raises(UsageError, match=r"limits holds limits, and .*p0\.parquet does not"):
+        nw_eval.sim2real(real, [limits, baselines[0]])
+    with pytest.raises(UsageError, match="--score slip with limits"):
+        nw_eval.sim2real(real, [limits], score="slip")
+    again = save_limits(tmp_path / "again", [("p1", "bars", 2)])
+    with pytest.raises(UsageError, match=r"the limit of p1 on bars is in .*; name one of them"):
+        nw_eval.sim2real(real, [limits, again])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "cannot be read"),
+        ("[]", "cannot be read"),
+        ("{}", "lacks 'nw-limits'"),
+        ('{"nw-limits": 2, "limits": []}', "its version is 2, not 1"),
+        ('{"nw-limits": 1, "limits": [{"policy": "p", "ladder": "b"}]}', "lacks 'limit'"),
+    ],
+)
+def test_damaged_limits_are_named_with_what_makes_them_anew(limits, tmp_path, text, message):
+    (limits / "limits.json").write_text(text, encoding="utf-8")
+    real = csv(tmp_path, "policy,ladder,limit\np1,bars,0.2\n")
+    with pytest.raises(StoreError, match=message):
+        nw_eval.sim2real(real, [limits])

@@ -50,6 +50,8 @@ class Limits:
     """Use a different seed for the initial states."""
     out: Path | None = None
     """A new folder (default: `reports/limits-<number>`)."""
+    write_suite: Path | None = None
+    """Write a suite of the rungs around the limits into this file."""
     workers: Workers = None
     no_cache: NoCache = False
     allow_code: AllowCode = False
@@ -81,6 +83,7 @@ class Limits:
                 trials=self.trials,
                 seed=self.seed,
                 out=self.out,
+                write_suite=self.write_suite,
                 allow_code=self.allow_code,
                 contacts=self.contacts,
                 films=not self.no_films,
@@ -96,6 +99,9 @@ class Limits:
         if errors := sum(each.errors for each in result.limits):
             tell(f"{plural(errors, 'trial')} ended in errors; {self._again()}")
             return 4
+        if self.write_suite is not None:
+            left = ", ".join(result.not_in_suite)
+            tell(f"suite written to {self.write_suite}" + (f", without {left}" if left else ""))
         return 0
 
     def _again(self) -> str:

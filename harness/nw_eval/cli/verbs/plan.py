@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -18,8 +18,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from nw_eval.api import BarPlan, ShardPlan, TrialPlan
+    from nw_gate.baseline.informative import Item, Proposal
     from nw_gate.baseline.power_forecast import Outset
     from nw_gate.baseline.scores import ScoreForecast
+    from nw_gate.stats.baseline.curve import CurvePoint
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,8 +29,10 @@ class PlanTrials:
     """Compute how many trials detect a drop against a baseline, and what else the gate detects.
 
     Simulates the gate with the scores of a baseline or of a run of the suite. For a suite with a
-    bar and no baseline, it computes how many trials the bar needs. Runs no physics. With --shards
-    it lists the shards of a run instead; each shard runs on a machine of its own (`run --shard`).
+    bar and no baseline, it computes how many trials the bar needs. It lists the scenes that tell
+    two policies apart, and with --limits or --write-suite proposes a suite that does so in fewer
+    trials. Runs no physics. With --shards it lists the shards of a run instead; each shard runs on
+    a machine of its own (`run --shard`).
     """
 
     suite: Suite
@@ -41,6 +45,10 @@ class PlanTrials:
     """Use the scores of this run of the suite in place of a baseline's."""
     out: Path | None = None
     """Draw the curve into this PNG."""
+    limits: tuple[Path, ...] = ()
+    """Folders of `nw-eval limits`: a suite is proposed, with rungs that they have measured."""
+    write_suite: Path | None = None
+    """Write the proposed suite into this file; its name becomes the suite's."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
     """Worker processes assumed for the estimate in minutes (default: one per core)."""
 
@@ -68,11 +76,12 @@ class PlanTrials:
         from nw_base.errors import UsageError
 
         of_parts = ("policy", "trials", "scenes")
-        of_curve = ("detect", "run", "out")
+        of_curve = ("detect", "run", "out", "limits", "write_suite")
         for name in of_parts if self.shards is None else of_curve:
-            if getattr(self, name) is not None:
+            if getattr(self, name) not in {None, ()}:
                 without = "without" if self.shards is None else "with"
-                raise UsageError(f"--{name} {without} --shards", fix=f"drop --{name}")
+                option = f"--{name.replace('_', '-')}"
+                raise UsageError(f"{option} {without} --shards", fix=f"drop {option}")
 
     def _cut(self, shards: int) -> int:
         from nw_eval import api
@@ -99,6 +108,8 @@ class PlanTrials:
             run=self.run,
             out=self.out,
             workers=self.workers,
+            limits=self.limits,
+            write_suite=self.write_suite,
         )
         if isinstance(planned, api.BarPlan):
             print(bar_plan_json(planned) if self.json else bar_plan_page(planned))
@@ -106,6 +117,8 @@ class PlanTrials:
         print(trial_plan_json(planned) if self.json else trial_plan_page(planned))
         if self.out is not None and not self.json:
             print(f"drawn in {self.out}")
+        if self.write_suite is not None and not self.json:
+            print(f"written to {self.write_suite}; its first lines say what comes next")
         return 0
 
 
@@ -172,8 +185,34 @@ def trial_plan_json(planned: TrialPlan) -> str:
             for point in planned.curve
         ],
         "scores": planned.scores,
+        "items": [_item_json(each) for each in planned.items],
+        "proposal": None if planned.proposal is None else _proposal_json(planned.proposal),
     }
     return json_text(fields)
+
+
+def _item_json(each: Item) -> dict[str, Any]:
+    """Return what a trial of a scene says; trials that are never enough are null."""
+    return {
+        "scene": each.name,
+        "in_suite": not each.rung,
+        "success": each.success,
+        "worse": each.worse,
+        "information": each.information,
+        "alone": each.alone,
+        "tells": each.tells,
+    }
+
+
+def _proposal_json(found: Proposal) -> dict[str, Any]:
+    return {
+        "scenes": [each.name for each in found.items],
+        "left_out": [each.name for each in found.left_out],
+        "rounds": found.rounds,
+        "starts": found.starts,
+        "today": found.today,
+        "proposed": found.proposed,
+    }
 
 
 def trial_plan_page(planned: TrialPlan) -> str:
@@ -194,8 +233,85 @@ def trial_plan_page(planned: TrialPlan) -> str:
         "Simulated, 1,000 gates at each drop: the standard error of a share is at most 1.6 %.",
         "Between tolerate and max_drop, both verdicts are correct.",
         *(line for each in planned.scores for line in _score_lines(each)),
+        "",
+        *_item_lines(planned),
+        *([] if planned.proposal is None else ["", *_proposal_lines(planned, planned.proposal)]),
     ]
     return "\n".join(lines)
+
+
+_MOST_ITEMS = 20
+"""Scenes in a table: the rest of them are in the JSON."""
+
+
+def _item_lines(planned: TrialPlan) -> list[str]:
+    """Return which scenes tell a policy of the drop from the baseline."""
+    worse = f"{planned.detect:g} worse"
+    telling = [each for each in planned.items if each.tells]
+    rows = [("scene", "baseline", worse, "trials alone")]
+    rows += [
+        (each.name, f"{each.success:.3f}", f"{each.worse:.3f}", f"{each.alone:.0f}")
+        for each in telling[:_MOST_ITEMS]
+    ]
+    lines = [
+        f"Success of the baseline and of a policy {worse}, and the fewest trials in which any test",
+        f"could tell them apart by this scene alone ({_wrong(planned)}):",
+        *aligned(rows, right=(1, 2, 3)),
+    ]
+    if more := len(telling) - _MOST_ITEMS:
+        lines += [f"and {plural(more, 'scene')} more, in --json"] if more > 0 else []
+    never = [each for each in planned.items if not each.tells]
+    if never:
+        lines.append(f"tell nothing in {planned.outset.budget} trials: {_names(never)}")
+    if planned.ladders:
+        policy = planned.policy or "POLICY"
+        ladders = " ".join(planned.ladders)
+        lines.append("Rungs of ladders may tell more. To measure them, and to propose a suite:")
+        lines.append(f"  nw-eval limits {ladders} -p {policy} --out reports/limits")
+        lines.append(f"  nw-eval plan {planned.suite} --limits reports/limits --write-suite FILE")
+    return lines
+
+
+def _proposal_lines(planned: TrialPlan, found: Proposal) -> list[str]:
+    """Return what a proposed suite has, and what its gate does beside today's."""
+    today, then = found.today, found.proposed
+    rows = [("policy", "today", "", "proposed", "")]
+    rows += [
+        (who, *_end(word, getattr(today, kind)), *_end(word, getattr(then, kind)))
+        for who, word, kind in (
+            ("equally good", "passed", "equal"),
+            (f"{planned.detect:g} worse", "regressed", "worse"),
+            ("as much worse, evenly in all scenes", "regressed", "evenly"),
+        )
+    ]
+    added = [each for each in found.items if each.rung]
+    gates = planned.outset.few
+    size = plural(len(found.items), "scene")
+    return [
+        f"Proposed: {size}, at most {found.rounds} trials of each, a baseline of {found.starts}",
+        f"leaves out {_names(found.left_out)}",
+        *([f"adds {_names(added)}"] if added else []),
+        "",
+        *aligned(rows),
+        f"Simulated, {gates} gates of each: the standard error is at most {50 / gates**0.5:.1f} %.",
+        "The second policy loses most where the baseline fails sometimes; the third loses the same",
+        "share of success everywhere, which hard scenes show later. Scenes that are left out no",
+        "longer show what fails only there: keep today's suite for releases.",
+    ]
+
+
+def _end(word: str, point: CurvePoint) -> tuple[str, str]:
+    """Return how often a gate ends with a verdict, and its mean number of trials."""
+    says = {"passed": "PASS", "regressed": "REGRESSED"}[word]
+    return f"{says} {100 * getattr(point, word):.0f} %", f"{point.trials:.0f} trials"
+
+
+def _names(items: Sequence[Item]) -> str:
+    return ", ".join(each.name for each in items)
+
+
+def _wrong(planned: TrialPlan) -> str:
+    return f"wrong REGRESSED {100 * planned.outset.rules.alpha_regr:.4g} %"
 
 
 def _score_lines(forecast: ScoreForecast) -> list[str]:
