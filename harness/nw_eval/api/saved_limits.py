@@ -80,10 +80,10 @@ def _saved(entry: Any, file: Path) -> LadderLimit:
     return LadderLimit(
         policy=clean(str(entry["policy"]), at_most=200),
         ladder=clean(str(entry["ladder"]), at_most=200),
-        title=clean(str(entry["title"]), at_most=200),
+        title=clean(str(entry.get("title", "")), at_most=200),
         limit=Limit.from_dict(entry["limit"]),
         run=inside(file.parent, str(entry["run"])),
-        errors=int(entry["errors"]),
+        errors=int(entry.get("errors", 0)),
     )
 
 
