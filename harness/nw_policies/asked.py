@@ -30,7 +30,7 @@ _PIECE = 2**16
 
 @dataclass(frozen=True, kw_only=True)
 class Served:
-    """What a server says that it serves."""
+    """Description of the policy that a server serves, in the server's words."""
 
     digest: str
     """Hex SHA-256 of all that can change an action; `NOTHING` if the server gives none."""
@@ -151,7 +151,7 @@ class ApartPolicy(AskedPolicy):
             line.lost()
 
     def ask(self, message: dict[str, Any]) -> dict[str, Any]:
-        """Send a message to the process and return its answer; what it raised is raised."""
+        """Send a message to the process and return its answer, or raise its exception."""
         if not self._is_open:
             raise TrialError(f"policy {self._name!r} is closed", fix="open it again")
         return self._line.ask(message, policy=self._number, has_server=self._is_remote)

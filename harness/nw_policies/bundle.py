@@ -66,7 +66,7 @@ class Weights(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedFile:
-    """What a file of weights computes, as programs; as `RecordedFile`."""
+    """A file of weights as programs of nw-eval; compare `RecordedFile`."""
 
     inputs: tuple[InputSpec, ...]
     """What the file declares to take."""
@@ -179,7 +179,7 @@ class Bundle:
         return self.with_changes(card=card, operator=operator)
 
     def with_changes(self, **changes: Any) -> Bundle:
-        """Return the bundle with other fields, and with what it knows of its card's robot.
+        """Return the bundle with other fields; keep the robot that it has loaded.
 
         `dataclasses.replace` forgets `joints`, which a process that may not read the robot needs.
         """
@@ -226,7 +226,7 @@ class Bundle:
 
     @cached_property
     def computes(self) -> str:
-        """Hex SHA-256 of what the policy computes; empty where nothing says what that is.
+        """Hex SHA-256 of the policy's computation; empty if it cannot be read from the files.
 
         It is the same for every export of one network on a card of the same meaning: it covers
         `computed_digest` of the files of weights, code beside the card, and the card without its
@@ -289,7 +289,7 @@ class Bundle:
         return len(get_robot(self.card.robot).joints)
 
     def read_checkpoint(self) -> bytes:
-        """Return the bytes of the weights, verified again: what is loaded is what was checked.
+        """Return the bytes of the weights after comparing their digest with the checked one again.
 
         Raises:
             PolicyError: the file is gone, or has changed since the bundle was loaded.
@@ -448,7 +448,7 @@ def find_card(name_or_path: str | Path, *, search: Path | None = None) -> Path:
 
 
 def card_of_fetched(fetched: Fetched) -> Path:
-    """Return the card of what was fetched.
+    """Return the card of a fetched policy.
 
     Raises:
         PolicyError: it has none.

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class ActOptions(CardModel):
-    """What is not in the weights of an ACT network."""
+    """Settings of an ACT network that its weights do not contain."""
 
     heads: int = Field(default=8, ge=1, le=64)
     """Attention heads."""

@@ -1,4 +1,4 @@
-"""What a checkpoint computes: a digest that a re-export of the same network does not change.
+"""Digest of a checkpoint's computation, which a re-export of the same network does not change.
 
 The digest of a file changes with everything in it: producer, doc strings, names of nodes and
 values, debug files, the order of the initializers. This one is of operators, attributes, weights
@@ -57,7 +57,7 @@ Operator = tuple[str, str, str]
 
 
 def computed_digest(data: bytes) -> str:
-    """Return the hex SHA-256 of what a checkpoint computes; empty where that cannot be read.
+    """Return the hex SHA-256 of a checkpoint's computation; empty if it cannot be read.
 
     Args:
         data: the whole file.

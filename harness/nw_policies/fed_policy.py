@@ -1,4 +1,4 @@
-"""Policies that networks feed: each asked at its own rate, what it gave last held in between."""
+"""Policies that networks feed: each runs at its own rate, and its last output is held between."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Array = NDArray[Any]
 
 
 class FedPolicy:
-    """A policy whose inputs are observations, and what networks make of them.
+    """A policy that takes observations and outputs of other networks.
 
     With the actions 0, n, 2n, ... of a trial a network is asked that runs at an n-th of the
     policy's rate. At one action, each is asked after those that feed it.
@@ -93,7 +93,7 @@ class FedPolicy:
         self._held = {}
 
     def act(self, observation: Observation) -> Action:
-        """Ask the networks whose time has come, then the policy.
+        """Run the networks that are due, then the policy.
 
         Raises:
             ActionError: a network gave inf or NaN, or as the policy.
@@ -136,7 +136,7 @@ class FedPolicy:
         return plan
 
     def state(self) -> bytes:
-        """Return what all of them remember, what is held, and how many actions there were."""
+        """Return the memory of all networks, the held outputs, and the count of actions."""
         states = {f"network {feeder.name}": feeder.network.state() for feeder in self.feeders}
         states["policy"] = self.policy.state()
         arrays = {name: np.frombuffer(state, np.uint8) for name, state in states.items()}
@@ -204,7 +204,7 @@ def _open_network(
 
 
 class Feeder:
-    """One network in a trial, with the names under which others take what it gives."""
+    """One network in a trial, with the names under which others take its outputs."""
 
     def __init__(self, bundle: Bundle, name: str, *, allow_code: bool) -> None:
         network = bundle.card.networks[name]

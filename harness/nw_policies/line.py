@@ -53,7 +53,7 @@ def shared_memory() -> int:
     """Return the file descriptor of new memory for observations, which cannot be truncated.
 
     Raises:
-        OSError: there is none to be had.
+        OSError: no shared memory can be allocated.
     """
     if not hasattr(os, "memfd_create"):  # macOS
         with tempfile.TemporaryFile() as file:
@@ -78,8 +78,8 @@ class PolicyLine:
     """A line to a policy's process, which opens any number of policies.
 
     Args:
-        answers: what it says.
-        questions: what it is asked.
+        answers: line of the policy's answers.
+        questions: line of the requests to it.
         memory: for observations.
         lost: called when it is gone, or says what cannot be read.
     """

@@ -1,4 +1,4 @@
-"""Policies from what a training saves: a chain of linear and recurrent layers.
+"""Policies from a training's saved weights: a chain of linear and recurrent layers.
 
 The names of the tensors say which layers there are (`networks.layers`); the card says what is not
 in the file: the activation, and how observations are normalised. Checkpoints of rsl_rl, skrl,

@@ -105,7 +105,7 @@ class OnnxNetwork:
 
     @property
     def program(self) -> Program | None:
-        """What it was planned into; None where onnxruntime runs it, or once it is closed."""
+        """Program of the graph; None where onnxruntime runs it, or after it is closed."""
         return self._runner.program if isinstance(self._runner, _Planned) else None
 
     @property
@@ -218,7 +218,7 @@ def planned_file(bundle: Bundle) -> PlannedFile:
 
 
 class OnnxPolicy(ActingNetwork):
-    """An ONNX graph, one of whose outputs is the action."""
+    """An ONNX graph with an output that is the action."""
 
     def __init__(self, bundle: Bundle, *, joints: int) -> None:
         network = OnnxNetwork(bundle, [bundle.card.output])

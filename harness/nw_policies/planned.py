@@ -143,7 +143,7 @@ def unsupported(where: str, error: Exception) -> PolicyError:
 
 
 class PlannedNetwork:
-    """A file of weights as programs, with what they remember."""
+    """A file of weights as programs, with their memory."""
 
     def __init__(self, bundle: Bundle, wanted: Wanted) -> None:
         """Open what a file was planned into, for as many outputs as it was planned for."""
@@ -172,7 +172,7 @@ class PlannedNetwork:
         self._step = 0
 
     def run(self, observation: Observation) -> tuple[NDArray[Any], ...]:
-        """Run the programs whose turn it is.
+        """Run the programs that are due.
 
         Raises:
             TrialError: an input has another size than it was planned for.
@@ -229,7 +229,7 @@ _plans: dict[tuple[str, int], Mapping[str, PlannedFile]] = {}
 
 
 def files_known(bundle: Bundle) -> Mapping[str, PlannedFile] | None:
-    """Return what a policy was planned into that this process has opened; None if it has not.
+    """Return the programs of a policy that this process has opened; None if it has not.
 
     All trials of a process open the same policies.
     """
@@ -237,7 +237,7 @@ def files_known(bundle: Bundle) -> Mapping[str, PlannedFile] | None:
 
 
 def keep_files(bundle: Bundle, files: Mapping[str, PlannedFile]) -> None:
-    """Keep what a policy was planned into, for `files_known`."""
+    """Keep a policy's programs for `files_known`."""
     while len(_plans) >= _KNOWN:
         del _plans[next(iter(_plans))]
     _plans[bundle.digest, bundle.joints] = files
@@ -248,7 +248,7 @@ _left: dict[str, str] = {}
 
 
 def operator_of(bundle: Bundle) -> str:
-    """Return what of a policy's networks nw-eval does not run; empty where it has not been tried.
+    """Return the operator of a policy that nw-eval cannot run; empty if none is known.
 
     Where its card leaves the choice, its own runtime runs it from then on.
     """
@@ -287,7 +287,7 @@ class PlannedPolicy:
         bundle: of the policy.
         start: opens it to be planned; it is closed when it has been. Where it cannot be planned,
             and the card leaves the choice, it stays.
-        build: opens the bundle of what was planned.
+        build: opens the bundle with its programs.
 
     Raises:
         PolicyError: as `start`.

@@ -17,13 +17,13 @@ from nw_policies.policy import Observation, Policy
 
 @runtime_checkable
 class Recordable(Protocol):
-    """A network whose graph can be had."""
+    """A network that can be recorded as a graph."""
 
     where: str
     inputs: tuple[InputSpec, ...]
 
     def recorded(self, observation: Observation) -> RecordedFile:
-        """Return what it computes from observations of these sizes.
+        """Return the graphs for observations of these sizes.
 
         Raises:
             UnsupportedError: it has an operator, or a use of one, that a graph cannot have; named.

@@ -1,4 +1,4 @@
-"""What a running policy is, whatever file it came from, and what becomes of its actions.
+"""The interface of a running policy of any file format, and the checks of its actions.
 
 In a trial they wait for their latency, and pass through a filter.
 
@@ -194,7 +194,7 @@ class ActionFilter:
 
     @property
     def output(self) -> Action:
-        """What it returned last, (12,)."""
+        """The last returned action, (12,)."""
         return self._y[0]
 
     def push(self, action: Action) -> Action:
@@ -206,7 +206,7 @@ class ActionFilter:
         return self.output
 
     def state(self) -> bytes:
-        """Return the earlier actions and what was made of them."""
+        """Return the last raw actions and the last filtered ones."""
         return np.stack([self._x, self._y]).tobytes()
 
     def restore(self, state: bytes) -> None:
@@ -298,7 +298,7 @@ class ActingNetwork:
         """Return the network's output as an action.
 
         Raises:
-            ActionError: it is none.
+            ActionError: the output is not a valid action.
         """
         return checked_action(raw, joints=self._joints, policy=self._policy)
 

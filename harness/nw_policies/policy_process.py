@@ -1,4 +1,4 @@
-"""What a policy's process and its caller say to each other; this file needs Python and NumPy alone.
+"""Messages between a policy's process and its caller; this file needs Python and NumPy alone.
 
 A policy lives in a process of its own. Its caller writes observations into memory that both map,
 and asks; the answer comes back through a pipe:
@@ -53,7 +53,7 @@ CALLS = "reset", "act", "state", "restore"
 
 
 class FaultError(Exception):
-    """What is wrong with a policy of somebody's code; `kind` names a class of `nw_base.errors`."""
+    """An error in a policy of third-party code; `kind` names a class of `nw_base.errors`."""
 
     def __init__(self, kind: str, text: str, *, fix: str | None = None) -> None:
         super().__init__(text)
@@ -280,7 +280,7 @@ def views(board: mmap.mmap, places: Sequence[Place]) -> dict[str, NDArray[Any]]:
 
 
 def respond(policy: Any, message: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a policy's answer to one message, whoever sent it; what it raises goes on.
+    """Return a policy's answer to one message; exceptions of the policy are passed on.
 
     Raises:
         ValueError: there is no such call.
@@ -332,7 +332,7 @@ class Server:
 
         Raises:
             OSError: it goes while it is answered.
-            ValueError: it says what is no message.
+            ValueError: a received message is invalid.
         """
         reads, writes = self._line.reads, self._line.writes
         policies, boards = self._policies, self._boards

@@ -123,7 +123,7 @@ class StudentPolicy(NetworkPolicy):
         self._step = 0
 
     def infer(self, inputs: dict[str, Tensor]) -> Tensor:
-        """Look if it is time to, then act on what was seen last."""
+        """Take a new image if one is due, then act on the last one."""
         if self._step % self._options.depth_every == 0:
             self._seen, self._hidden = self._network.see(
                 inputs["depth"], inputs["proprio"], self._hidden
@@ -137,7 +137,7 @@ class StudentPolicy(NetworkPolicy):
         )
 
     def state(self) -> bytes:
-        """Return hidden state, what was seen last, and the count of steps."""
+        """Return hidden state, the features of the last image, and the count of steps."""
         return pack(
             {
                 "hidden": self._hidden.numpy(),
@@ -158,7 +158,7 @@ class StudentPolicy(NetworkPolicy):
             self._step = int(arrays["step"])
 
     def recorded(self, observation: Observation) -> RecordedFile:
-        """Return what it sees, and what it does about it, as graphs of their own."""
+        """Return the encoder of images and the actor as two graphs."""
         first = {"hidden": torch.zeros(1, 1, HIDDEN), "seen": torch.zeros(1, LATENT + 2)}
         given = self.tensors(observation)
         body, history, depth = given.values()

@@ -166,7 +166,7 @@ class RemoteOptions(CardModel):
 
 
 def ask_server(bundle: Bundle) -> Served:
-    """Connect for a moment and return what is served.
+    """Connect briefly and return the description of the served policy.
 
     Raises:
         PolicyError: as `RemotePolicy`.

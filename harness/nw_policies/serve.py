@@ -49,7 +49,7 @@ class Address:
 
     @property
     def url(self) -> str:
-        """What a card's `options.url` must be."""
+        """URL for a card's `options.url`."""
         return f"ws://{self.host}:{self.port}"
 
 

@@ -1,4 +1,4 @@
-"""Inside of a policy's process: it opens policies, and answers what it is asked."""
+"""Main loop of a policy's process: it opens policies and answers requests."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ def serve_policies(
     """Confine this process, and serve policies: the main function of a policy's process.
 
     Args:
-        rules: what it may do.
-        questions: what it is asked.
-        answers: what it says.
+        rules: permissions of the process.
+        questions: requests to the process.
+        answers: its answers.
         memory: for observations.
-        output: where what it prints goes; None = nowhere.
+        output: file for the text that it prints; None discards it.
     """
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -118,7 +118,7 @@ class Camera:
 
     @property
     def lens(self) -> Intrinsics:
-        """What it sees."""
+        """The camera's lens."""
         return Intrinsics.model_construct(
             width=self.width,
             height=self.height,
@@ -276,7 +276,7 @@ def view_vector(
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """What a version of gsplat does where versions differ.
+    """Constants of one version of gsplat that differ between versions.
 
     Attributes:
         max_alpha: a splat's alpha is clamped to it.

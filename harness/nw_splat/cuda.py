@@ -90,7 +90,7 @@ class CudaRenderer:
 
         Args:
             cameras: at least one; all with the same size and the same near and far planes.
-            pixels: what is taken of each image.
+            pixels: the part of each image to return.
 
         Raises:
             UsageError: as `render`; or cameras of several sizes or planes.

@@ -257,7 +257,7 @@ def sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def to_byte(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
-    """Round to the nearest of 0..255; what is not a number becomes 0."""
+    """Round to the nearest integer of 0..255; NaN becomes 0."""
     return np.clip(np.rint(np.nan_to_num(values)), 0, 255).astype(np.uint8)
 
 

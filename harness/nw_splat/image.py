@@ -1,4 +1,4 @@
-"""What a renderer returns, and what is done to it.
+"""Images that a renderer returns, and operations on them.
 
 Objects that a splat lacks (cones, balls, the robot) are drawn into it. A camera model gives it what
 a real camera does to a picture: exposure, gain, blur and noise.
@@ -58,11 +58,11 @@ def stacked(parts: Sequence[Image]) -> Image:
 
 
 def exposed(images: Sequence[Image]) -> Image:
-    """Return what a shutter that is open for all of these images lets in; a single one is itself.
+    """Return the mean of images in linear light, as an open shutter sees them; one stays as it is.
 
     A sensor adds light, not display values: colours are averaged between the sRGB curve's inverse
     and the curve, as in "Gaussian Splatting on the Move" (Seiskari et al., arXiv 2403.13327), where
-    the curve is a power of 2.2. What is brighter than white is white in each image.
+    the curve is a power of 2.2. Values above white are clipped to white in each image.
     """
     if len(images) == 1:
         return images[0]

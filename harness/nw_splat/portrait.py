@@ -47,7 +47,7 @@ def check(path: Path, eye: Point | None, target: Point | None) -> None:
     """Refuse a picture that cannot be drawn, before anything is read.
 
     Raises:
-        UsageError: what it is called says no format, or `target` is given without `eye`.
+        UsageError: its name has no known ending, or `target` is given without `eye`.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -59,7 +59,7 @@ def check(path: Path, eye: Point | None, target: Point | None) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """What is drawn: Gaussians seen from outside, or a scene with the camera in it.
+    """Subject of a picture: Gaussians seen from outside, or a scene with the camera in it.
 
     Attributes:
         gaussians: all of them.
@@ -90,7 +90,7 @@ class Subject:
             path: what to write; one of `SUFFIXES`.
             size: pixels across and down.
             eye: where the camera stands, in the Gaussians' frame; a turn looks round from there.
-            target: of a still; what it looks at.
+            target: of a still; the point that the camera looks at.
             frames: of a turn.
             backend: the renderer.
             projection: how Gaussians become pixels.

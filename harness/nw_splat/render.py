@@ -181,7 +181,7 @@ class Renderer(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Stages:
-    """Thread CPU time of one frame in seconds, and what it handled.
+    """Thread CPU time of one frame in seconds, and counts of its Gaussians and pixels.
 
     `cull` includes clearing, `project` harmonics, `blend` the output arrays.
     """

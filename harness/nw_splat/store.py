@@ -68,7 +68,7 @@ class Store:
         sh_count: harmonics per channel: 1, 4, 9 or 16.
         layout: the arrays, read-only.
         path: the file behind them; None when they live in memory.
-        key: what was compiled, as given to `compile_store`.
+        key: identity of the compiled splat, as given to `compile_store`.
         rasterize_mode: see `Gaussians`; None is drawn antialiased.
         projection, notes: see `Gaussians`.
     """
@@ -385,7 +385,7 @@ class Unpacked:
 
 
 def unpack(layout: Layout) -> Unpacked:
-    """Return what a layout holds, in its order and to its precision."""
+    """Return the Gaussians of a layout, in its order and to its precision."""
     n, rest = layout.count, layout.sh_count - 1
 
     def rows(values: NDArray[Any], width: int) -> NDArray[np.float32]:

@@ -34,7 +34,7 @@ def warmup(
     Args:
         backend: whose.
         surfaces: also those of `CpuRenderer.surface`.
-        kernels: those of the CPU, by what they are for; all of them if nothing is said.
+        kernels: CPU kernels, named by their use (default: all).
 
     Returns:
         Seconds that it took: when compiled about 15 for what all share and one kind, 10 for each

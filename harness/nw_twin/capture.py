@@ -226,7 +226,7 @@ def read_capture(folder: Path) -> Capture:
     """Read a capture, not its pictures.
 
     Raises:
-        SceneError: there is none, or it is damaged; nothing outside the folder is named.
+        SceneError: the capture is missing or damaged, or names a file outside its folder.
     """
     path = folder / _JSON
     try:

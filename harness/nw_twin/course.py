@@ -380,7 +380,7 @@ class CourseFeature:
 
 
 def features_of(profile: GroundProfile, stretches: Sequence[Stretch]) -> list[CourseFeature]:
-    """Return what a profile leads over, in order.
+    """Return the features that a profile leads over, in order.
 
     A flight of stairs is three edges one way or more with treads between them; a hurdle goes up and
     down again within 0.9 m, a gap down and up again within 1.3 m, to about the same height. So bars

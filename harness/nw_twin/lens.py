@@ -61,7 +61,7 @@ class Lens:
         """Check that the numbers are those of a lens; no package is needed.
 
         Args:
-            whose: what the message begins with: the file, and the camera in it.
+            whose: beginning of the message: the file, and the camera in it.
 
         Raises:
             SceneError: they are not.

@@ -1,4 +1,4 @@
-"""What a calibration and a reconstruction are asked to do."""
+"""Options of a calibration and of a reconstruction."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ _FATAL = 3
 
 @contextmanager
 def quiet() -> Generator[Any]:
-    """Give pycolmap, which logs nothing meanwhile: what fails is seen by what it returns."""
+    """Give pycolmap with its log turned off; failures show in its return values."""
     pycolmap = package("pycolmap")
     level = pycolmap.logging.minloglevel
     pycolmap.logging.minloglevel = _FATAL

@@ -125,10 +125,10 @@ class Route:
 
 
 def check_scene_name(name: str) -> None:
-    """Check what a scene is to be called.
+    """Check the name of a new scene.
 
     Raises:
-        SceneError: no scene is called so.
+        SceneError: the name is not allowed.
     """
     try:
         checked_name(name)
@@ -209,7 +209,7 @@ def _write_collision(mesh: Path, path: Path, T: NDArray[np.float64]) -> None:
 
 
 def without_lips(vertices: F64, faces: NDArray[np.integer]) -> NDArray[np.integer]:
-    """Return the faces without the undersides of lips; without one, what is below is solid.
+    """Return the faces without the undersides of lips, so that the space below a lip is solid.
 
     Args:
         vertices: (V, 3) world, m, z up.

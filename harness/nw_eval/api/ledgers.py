@@ -51,7 +51,7 @@ def read_ledger(file: str | Path, *, head: str | None = None) -> LedgerReport:
     """Summarise a ledger: gates a year, false alarms, re-rolls, and the best of many.
 
     Args:
-        file: the ledger.
+        file: the ledger's file, which `run` or `gate` wrote.
         head: the head of an earlier report that you kept elsewhere. A ledger without that line was
             truncated or rewritten, and is an error.
 

@@ -1,6 +1,6 @@
 """Policy cards: everything about a checkpoint that is not in the checkpoint. Nothing here runs one.
 
-`load_card` reads a `Card`; `JointControl` is what it says of actions, as arrays.
+`load_card` reads a `Card`; `JointControl` has its settings of actions as arrays.
 """
 
 from nw_policies.cards.card import Card

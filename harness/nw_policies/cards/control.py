@@ -1,4 +1,4 @@
-"""What a raw action of a policy means, and the motors that it drives.
+"""Meaning of a policy's raw action, and the motors that it drives.
 
 Low-pass filters between a policy's actions and the motors are as stacks have them that train with
 one. Both kinds are one recursion over actions x, at the rate of the policy, and what was applied,
@@ -80,7 +80,7 @@ _NEAR = 1e-3  # share by which a rate such as 33.33 may miss a whole number of p
 
 
 class Control(CardModel):
-    """What a raw action means, and the motors that it drives."""
+    """Meaning of a raw action, and the motors that it drives."""
 
     rate: Rate = CONTROL_RATE
     """Actions per second, Hz. Each lasts a whole number of physics steps. A rate that divides 50 is

@@ -31,7 +31,7 @@ def feeding_order(card: Card) -> list[str]:
 
 
 def way_back(card: Card, name: str) -> list[str] | None:
-    """Return the way from a network over those that feed it to itself; None = there is none."""
+    """Return the way from a network over those that feed it to itself; None if it has none."""
     ways = [[name]]
     seen: set[str] = set()
     for way in ways:

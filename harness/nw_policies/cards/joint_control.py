@@ -1,4 +1,4 @@
-"""What a card says of its robot: joint targets of raw actions, motors, cameras."""
+"""Settings of a card for its robot: joint targets of raw actions, motors, cameras."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Action = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class JointControl:
-    """What a card says about actions, as arrays in the policy's joint order."""
+    """A card's settings of actions, as arrays in the policy's joint order."""
 
     order: NDArray[np.intp]
     """(J,) for each joint of the policy, its index among the robot's joints."""
@@ -114,7 +114,7 @@ _FOLLOWS: dict[ActionKind, Follow] = {
 
 
 def motors_follow(card: Card, robot: RobotSpec) -> tuple[Follow, ...]:
-    """Return what a card tells each motor of a robot, (J,) in the robot's joint order.
+    """Return the command kind of each motor of a robot, (J,) in the robot's joint order.
 
     Raises:
         PolicyError: a joint is unknown or has no action.
@@ -125,7 +125,7 @@ def motors_follow(card: Card, robot: RobotSpec) -> tuple[Follow, ...]:
 
 
 def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float64]] | None:
-    """Return what a card overrides of a robot's motors, or None if it overrides nothing.
+    """Return the motor values that a card overrides; None if it overrides nothing.
 
     Returns:
         kp, kd, torque_limits, armature, friction_loss: (J,) each in the robot's joint order, the

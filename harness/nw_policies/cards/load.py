@@ -1,6 +1,6 @@
 """Cards as files: read, validated, and checked against the robot; which there are.
 
-What is wrong with a valid card as a whole is told with its place in the file. Joints are checked
+Errors of a valid card as a whole are reported with their line in the file. Joints are checked
 against the robot that the card names; of what feeds what, every name that leads nowhere and every
 circle is found.
 """
@@ -98,7 +98,7 @@ def parse_card(text: str, *, file: str) -> Card:
 
 
 def card_of(values: Mapping[str, Any]) -> Card:
-    """Return the card of a mapping that says what a file would.
+    """Return the card of a mapping with the keys of a card file.
 
     Raises:
         PolicyError: all problems, one line each.
@@ -205,7 +205,7 @@ _PER_JOINT = ("scale", "default_pose", *_NEVER_NEGATIVE)
 
 
 def input_problems(card: Card, file: YamlFile) -> list[Problem]:
-    """Return what is wrong with the inputs of the checkpoint and of its networks, in file order.
+    """Return the errors of the inputs of the checkpoint and of its networks, in file order.
 
     Args:
         card: valid in itself.
@@ -327,7 +327,7 @@ UNKNOWN_ROBOT = "robot: unknown robot"
 
 
 def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
-    """Return what is wrong with the robot, the joints and their values, in file order.
+    """Return the errors of the robot, the joints and their values, in file order.
 
     Args:
         card: valid in itself.

@@ -90,7 +90,7 @@ OutputKey = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=0)]
 
 
 class Feedback(CardModel):
-    """What a TorchScript file gives back to one of its own inputs at the next step."""
+    """An output of a TorchScript file that becomes one of its inputs at the next step."""
 
     output: Annotated[int, Field(ge=0)]
     """Its position, from 0, among all that `forward` returns."""
@@ -103,7 +103,7 @@ Recurrent = dict[str, str | Feedback]
 
 
 def recurrent_fault(adapter: str, recurrent: Recurrent | None) -> tuple[str, str] | None:
-    """Return what is wrong with `recurrent` of a file that an adapter runs, and the fix."""
+    """Return the error in `recurrent` of a file that an adapter runs, and the fix."""
     if not recurrent or (adapter == "onnx" and all(isinstance(o, str) for o in recurrent.values())):
         return None
     if adapter == "onnx":
@@ -169,7 +169,7 @@ class Network(CardModel):
 
 
 def input_parts(inputs: Inputs) -> tuple[tuple[str | None, tuple[str, ...]], ...]:
-    """Return input names with what they are made of; no name where the file has one input."""
+    """Return input names with their observations; no name where the file has one input."""
     if isinstance(inputs, list):
         return ((None, tuple(inputs)),)
     return tuple(

@@ -194,7 +194,7 @@ class FootContacts(_Term):
 
 
 class Standing(CardModel):
-    """What a clock shows while the command asks for no step. It runs on underneath."""
+    """Value of a gait clock while the command is to stand. The clock itself continues."""
 
     below: float = Field(gt=0.0)
     """Norm of vx, vy (m/s) and yaw rate (rad/s) of the command, below which it is so."""

@@ -1,4 +1,4 @@
-"""The wrappers that a card can put around an observation. What they do: `sensors.wrappers`.
+"""The wrappers that a card can put around an observation. `sensors.wrappers` implements them.
 
     wrap: [grayscale, {wrapper: resize, width: 40, height: 24}, {wrapper: my_pkg:Diffuse, steps: 4}]
 

@@ -118,7 +118,7 @@ def _yaml_files(folder: Path, prefix: str) -> list[tuple[str, Path]]:
 def find_checkpoint(folder: Path) -> tuple[Path, tuple[str, ...]]:
     """Return the newest checkpoint in a folder of a training, and the names of the others.
 
-    The highest step is the newest (`model_1500.pt`, `agent_16000.pt`); without steps, what is
+    The highest step is the newest (`model_1500.pt`, `agent_16000.pt`); without steps, the one
     called best; else what was exported. Of a pipeline of LEAPP it is the file that gives the
     action.
 

@@ -1,4 +1,4 @@
-"""What a checkpoint of any known format says of itself, read without running it.
+"""Facts that a checkpoint of any known format contains, read without running it.
 
 A graph says what it takes and gives. Of a scripted module, TorchScript keeps the code in members
 `code/__torch__/...py`, in a small language that always writes a method as `def forward(self:
@@ -157,7 +157,7 @@ class ScriptInput:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckpointFacts:
-    """What a checkpoint says of itself."""
+    """Facts that a checkpoint contains."""
 
     path: Path
     sha256: str

@@ -1,4 +1,4 @@
-"""A first card for a checkpoint, from what it says of itself.
+"""A first card for a checkpoint, from the facts that it contains.
 
 The card is valid YAML; its comments say what is known, what is a guess, and what its author must
 check.
@@ -86,7 +86,7 @@ def write_card_draft(
         folder: where the card will be saved; None = beside the checkpoint. A checkpoint outside of
             it gets a card for `--checkpoint`, and a comment that says so.
         layout: name of the published layout that the card is to have; None = the likeliest.
-        beside: name and text of files beside the checkpoint that may say what it does not.
+        beside: name and text of files beside the checkpoint, for facts that it lacks.
         statistics: the `VecNormalize` of Stable-Baselines3 that was saved with it.
 
     Raises:
@@ -497,7 +497,7 @@ def _motor_limits(known: ExporterMetadata, robot: RobotSpec) -> list[str]:
 
 
 def published(frame: Frame, robot: RobotSpec) -> dict[str, str]:
-    """Return what a layout's training says of actions and motors, as a card writes it."""
+    """Return the actions and motors of a layout's training, as lines of a card."""
     own = [short_name(joint) for joint in robot.joints]
     joints = frame.joints or own
     is_of_them = sorted(joints) == sorted(own)

@@ -147,13 +147,13 @@ class Fields(dict[str, Any]):
         return key, self.get(key)
 
     def below(self, key: str) -> Fields:
-        """Return the mapping of a key; an empty one where there is none."""
+        """Return the mapping of a key; an empty one if the key has no mapping."""
         value = self.get(key)
         self.doubt(key, value, readable=isinstance(value, Fields))
         return value if isinstance(value, Fields) else Fields()
 
     def number(self, *keys: str) -> float | None:
-        """Return the finite number of the first key that says something; None if it is none."""
+        """Return the value of the first present key as a finite number; None if it is not one."""
         key, value = self.first(*keys)
         number = number_of(value)
         self.doubt(key, value, readable=number is not None)
@@ -235,7 +235,7 @@ def account(name: str, kinds: Iterable[str], data: Fields) -> tuple[str, ...]:
     Args:
         name: of the file.
         kinds: as `configs.reader_of` calls those whose readers have read it.
-        data: what they have read.
+        data: the fields that they have read.
     """
     odd: list[str] = []
     left: dict[str, None] = {}
@@ -253,7 +253,7 @@ def account(name: str, kinds: Iterable[str], data: Fields) -> tuple[str, ...]:
 
 
 def number_of(value: Any) -> float | None:
-    """Return a finite number; None where it is none."""
+    """Return a value as a finite number; None if it is not one."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return float(value) if is_number and math.isfinite(value) else None
 

@@ -103,7 +103,7 @@ def _likely_widths(facts: CheckpointFacts) -> tuple[list[int], list[int]]:
 
 
 def widths_to_try(facts: CheckpointFacts) -> tuple[int, ...]:
-    """Return what a script's one input may take, likeliest first; empty where the file says it.
+    """Return possible sizes of a script's one input, likeliest first; empty if the file has it.
 
     The first is what `wanted_inputs` guesses. A module that keeps its own history takes a frame,
     and its first layer takes several.

@@ -189,7 +189,7 @@ class Node:
 
 @dataclass(frozen=True, kw_only=True)
 class Pipeline:
-    """What a YAML file of LEAPP says."""
+    """Contents of a YAML file of LEAPP."""
 
     file: str
     """The YAML's name."""

@@ -34,7 +34,7 @@ _IN_WORLD = re.compile(r"_w$")
 def with_pipeline(
     pipeline: Pipeline, node: Node, facts: CheckpointFacts, beside: Metadata | None
 ) -> Metadata:
-    """Return what a pipeline says, and of other files beside it what it leaves open.
+    """Return the settings of a pipeline, completed from other files beside it.
 
     Raises:
         PolicyError: as `metadata_of`.

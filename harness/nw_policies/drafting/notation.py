@@ -69,7 +69,7 @@ def quoted(name: str) -> str:
 
 
 def changed_lines(old: Card, new: Card) -> list[str]:
-    """Return what is written differently: robot, `control` and observations.
+    """Return the lines that differ: robot, `control` and observations.
 
     Each line is the path of a key, and its new value in YAML; of `terms`, the entry that
     changes, or all of them in another order.

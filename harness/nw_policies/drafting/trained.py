@@ -1,4 +1,4 @@
-"""What a training's own checkpoint holds: which trainer wrote it, and the options that run it.
+"""Contents of a training's own checkpoint: its trainer, and the options that run it.
 
 rsl_rl, skrl, rl_games, CleanRL, Stable-Baselines3, brax and flax are told apart by the names of the
 tensors. The activation is in none of these files but those of Stable-Baselines3.

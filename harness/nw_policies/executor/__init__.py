@@ -1,7 +1,7 @@
 """Networks with the same bits on every processor, planned once and run by one compiled kernel.
 
 graph.py       operators with named inputs and outputs
-program.py     what a network computes, as rows of whole numbers, and the check of them
+program.py     a network's computation as rows of whole numbers, and their check
 plan.py        plans a graph
 network.py     runs a program
 joining.py     several programs in one arena

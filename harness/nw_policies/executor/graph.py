@@ -95,7 +95,7 @@ class Graph:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedFile:
-    """What a file of weights computes, as graphs that have a memory in common."""
+    """A file of weights as graphs that share a memory."""
 
     parts: tuple[tuple[int, Graph], ...]
     """In the order in which they run, each every so many actions. Inputs are `input 0`, ... and the

@@ -1,4 +1,4 @@
-"""Programs that lie in one arena, and rows that carry what one of them gives to what another takes.
+"""Programs in one arena, and rows that copy outputs of one to inputs of another.
 
 The arenas lie one behind the other. A program's rows are followed by those that copy its outputs
 on, so that one call of the interpreter runs as many of the programs as are due.

@@ -206,7 +206,7 @@ def _slice(plan: Planner, node: Node) -> None:
 
 
 def sliced(view: View, taken: Sequence[slice]) -> View:
-    """Return what a slice for each axis takes of a view."""
+    """Return the part of a view that a slice for each axis selects."""
     offset, shape, strides = view.offset, list(view.shape), list(view.strides)
     for axis, each in enumerate(taken):
         indices = range(*each.indices(view.shape[axis]))

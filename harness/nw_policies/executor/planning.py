@@ -139,7 +139,7 @@ class Planner:
         return self.put(np.pad(flat, (0, -columns % PANEL)))
 
     def new(self, shape: Sequence[int], *sources: View, kind: Kind = "float") -> View:
-        """Return room for what is computed of some views."""
+        """Return memory for the result of an operation on some views."""
         is_fixed = bool(sources) and all(source.is_fixed for source in sources)
         shape = tuple(shape)
         return View(self.room(math.prod(shape)), shape, strides_of(shape), is_fixed, kind)
@@ -230,7 +230,7 @@ class Planner:
         return target
 
     def bias(self, bias: Array | None, columns: int) -> int:
-        """Return the offset of what a product begins with."""
+        """Return the offset of a product's bias; of zeros if it has none."""
         if bias is not None:
             return self.put_columns(bias, columns)
         return self.put_columns(np.zeros(1), columns)

@@ -1,4 +1,4 @@
-"""Programs: what a network computes, as rows of whole numbers over one arena of float32.
+"""Programs: a network's computation as rows of whole numbers over one arena of float32.
 
 A program is data. `check` shows of each row that it reads and writes inside the arena, so that a
 program that an untrusted file was planned into may run anywhere: it computes numbers from numbers,

@@ -52,7 +52,7 @@ class DeclaredArray(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class DeclaredGraph:
-    """What a file says of its main graph."""
+    """Declarations of a file's main graph."""
 
     inputs: tuple[DeclaredArray, ...]
     outputs: tuple[DeclaredArray, ...]
@@ -60,7 +60,7 @@ class DeclaredGraph:
 
 
 def read_declared(data: bytes) -> DeclaredGraph:
-    """Return what a file declares. An output without a shape has that of its plan, if there is one.
+    """Return a file's declarations. An output without a shape gets the shape of its plan, if any.
 
     Args:
         data: the whole file, which `check_onnx` has passed.

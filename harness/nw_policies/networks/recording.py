@@ -74,7 +74,7 @@ def numbered(tensors: Iterable[Tensor]) -> dict[str, Tensor]:
 
 
 def recorded_file(graph: Graph, memory: Mapping[str, NDArray[Any]]) -> RecordedFile:
-    """Return what a file computes that is one graph.
+    """Return the recorded file of a single graph.
 
     Args:
         graph: from `record`.

@@ -88,5 +88,5 @@ class Values:
 
 
 def memory_of(tensor: Tensor) -> int:
-    """Return what is the same of tensors that share their memory."""
+    """Return a key that is equal for tensors that share their memory."""
     return tensor.untyped_storage().data_ptr()  # It stays theirs: all are kept.

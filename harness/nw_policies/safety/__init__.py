@@ -4,7 +4,7 @@ Nothing here unpickles, imports or runs what a file contains. Archives, their pi
 every tensor's place and size are checked against `FileLimits` before memory is taken for them; what
 fails is a `PolicyError` that says what the file is and how to export it.
 
-    kind        what a file is, by its first bytes and its members
+    kind        the type of a file, by its first bytes and its members
     archive     members of a zip file: names, numbers, sizes, compression
     members     which of them a torch archive may have, and the archive written anew
     objects     the index of a torch file, read without pickle

@@ -1,6 +1,6 @@
 """Archives: members are checked all together before any of them is unpacked.
 
-What a file is, is known by its bytes and not by its name.
+The type of a file is determined by its bytes, not by its name.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ def _mib(size: int) -> str:
 
 
 def file_kind(data: bytes, where: str) -> FileKind:
-    """Say what a checkpoint is.
+    """Return the type of a checkpoint.
 
     Args:
         data: the whole file.

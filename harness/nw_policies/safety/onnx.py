@@ -43,7 +43,7 @@ Value = int | str | memoryview
 
 
 class Field(NamedTuple):
-    """A field: its name, what it holds, whether it may come more than once."""
+    """A field: its name, its type, and whether it may be repeated."""
 
     name: str
     kind: str

@@ -65,7 +65,7 @@ _SAFETENSORS_DTYPES = {
 
 @dataclass(frozen=True, kw_only=True)
 class TensorFacts:
-    """What a file says of a tensor."""
+    """A tensor's entry in a file."""
 
     name: str
     """Keys on the way to it, joined by dots."""

@@ -116,7 +116,7 @@ def splat_page(figures: SplatFigures) -> str:
 
 
 def written_line(splat: WrittenSplat) -> str:
-    """Return what was written, and how large it is; notes on the source come first."""
+    """Return a line with the written file and its size; notes on the source come first."""
     left = f", {splat.left_out:,} that cannot be drawn left out" if splat.left_out else ""
     size = f"{splat.bytes / 2**20:.1f} MiB"
     notes = [f"note: {note}" for note in splat.notes]

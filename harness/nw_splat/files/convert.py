@@ -24,7 +24,7 @@ class WrittenSplat:
 
 
 def write_new(out: Path, gaussians: Gaussians) -> WrittenSplat:
-    """Write Gaussians to a file, and return what was written.
+    """Write Gaussians to a new file and return them as the file has them.
 
     Args:
         out: the file; its suffix says the format.

@@ -1,4 +1,4 @@
-"""What a format of splat files is: one value, which reads them and perhaps writes them.
+"""A format of splat files, as one value that reads them and may write them.
 
 Built-in formats are told by content, whatever a file is called. Those of installed packages
 (entry-point group `nw_eval.splat_formats`) are told by the suffix of the file, which is the name of
@@ -20,7 +20,7 @@ class SplatFormat:
 
     Attributes:
         name: the suffix of its files without the dot, in small letters.
-        description: what it is, in a few words.
+        description: the format in a few words.
         read: gets the path of a file and returns its Gaussians, in the axes of a 3DGS PLY file:
             x to the right, y down, z ahead. It raises `SceneError` for a file that is damaged, and
             takes memory in proportion to the file, whatever the file claims.

@@ -37,7 +37,7 @@ _MEMBERS = re.compile(
 
 
 def rank_files(path: Path) -> tuple[Path, ...]:
-    """Return the files of all ranks that lie beside one of them, in order; itself if it is none.
+    """Return the files of all ranks beside a rank's file, in order; else the file alone.
 
     Raises:
         SceneError: a rank below one that is there is missing, or leads out of the folder.

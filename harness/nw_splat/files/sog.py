@@ -1,4 +1,4 @@
-"""SOG, PlayCanvas's format: numbers in lossless WebP images, meta.json saying what they mean.
+"""SOG, PlayCanvas's format: numbers in lossless WebP images, described by meta.json.
 
 A .sog file is a zip of both; a folder of the same files is read by its meta.json. Positions are 16
 bits of sign(x) log(1 + |x|) between two bounds; rotations three of four components and a tag which

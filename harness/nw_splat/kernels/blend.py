@@ -122,7 +122,7 @@ def _spread(builder: Any, vector: Any, lanes: list[int]) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class LaneShape:
-    """What is done to a block of pixels; each member is an intrinsic.
+    """Operations on a block of pixels; each member is an intrinsic.
 
     Attributes:
         fill: (value): one float in the lanes of all pixels.

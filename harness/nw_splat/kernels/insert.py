@@ -1,4 +1,4 @@
-"""What is done to the pixels of a finished picture: means of samples, light, drawn objects.
+"""Operations on the pixels of a finished picture: means of samples, light, drawn objects.
 
 The formulas are those of NumPy in image.py and overlay.py, in NumPy's order and types: float32
 where an image meets a Python number, float64 for light. Sums over parts of a picture add up as
@@ -62,7 +62,7 @@ def composite(image: Any, objects: Any, background: Any, new: Any) -> None:
 
     Args:
         image: rgb (N, 3), depth (N,) and alpha (N,), float32.
-        objects: as the image, alpha is what they cover.
+        objects: as the image; alpha is the share of a pixel that they cover.
         background: (3,) float32.
         new: as the image, out.
     """
@@ -210,7 +210,7 @@ def near_any(rays: Any, middles: Any, origin: Any, radius: Any, numbers: Any) ->
         rays: (N, 3) float64 unit vectors.
         middles: (K, 3) float64.
         origin: (3,) float64; within the radius of a middle, every ray is near.
-        radius: what is near.
+        radius: the largest distance of a ray from a middle, m.
         numbers: (N,) int64, out: numbers of rays.
     """
     near = np.zeros(len(rays), np.bool_)

@@ -1,6 +1,6 @@
 """What will give a scale, found in the first seconds of a build and kept for `align`.
 
-What is slow comes later, so the user learns first whether the scene will be in metres, and
+The slow stages come later, so the user learns first whether the scene will be in metres, and
 what to give if it will not.
 """
 

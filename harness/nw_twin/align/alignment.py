@@ -195,7 +195,7 @@ class GravityCue:
         name: `horizon`, `floor`, `walls`, `mesh`, `edges`, `poses` or `positions`.
         up: unit vector in the capture's frame.
         degrees: between it and the chosen direction.
-        uncertain: standard deviation of what it says, degrees.
+        uncertain: standard deviation of its direction, degrees.
         reason: what it is and how sure, for people.
     """
 
@@ -322,7 +322,7 @@ def read_alignment(path: Path) -> Alignment:
     """Read an alignment.
 
     Raises:
-        SceneError: there is none, it is damaged, or its matrix is no similarity of its scale.
+        SceneError: the file is missing or damaged, or its matrix is no similarity of its scale.
     """
     try:
         if regular(path).stat().st_size > _MOST_BYTES:

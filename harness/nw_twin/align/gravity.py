@@ -497,7 +497,7 @@ def floor_of_mesh(
 
 
 def settled(heights: Values) -> float:
-    """Return the height at which most of some heights lie: a mean that leaves out what is off."""
+    """Return the mean of heights without outliers."""
     height = float(np.median(heights))
     spread = max(1.4826 * float(np.median(np.abs(heights - height))), 1e-12)
     for _ in range(5):

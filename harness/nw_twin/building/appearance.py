@@ -115,7 +115,7 @@ class AppearanceOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class AppearanceReport:
-    """What the training came to.
+    """Results of the training.
 
     Attributes:
         gaussians: how many there are.

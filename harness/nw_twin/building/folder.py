@@ -1,4 +1,4 @@
-"""The folder of a build, and what of it still holds."""
+"""The folder of a build, and which of its results are still valid."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _MOST_BYTES = 1_000_000
 
 
 class BuildFolder:
-    """`<scene>/build/`: what each stage has left, and stamps that say what of.
+    """`<scene>/build/`: the results of the stages, with stamps of their inputs.
 
         capture/      photographs without distortion, and where they were taken from
         mesh/         depths and the mesh, in the capture's frame

@@ -61,7 +61,7 @@ _LEAST_LENGTH = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeenDepth:
-    """What a photograph shows.
+    """Depths that a photograph shows.
 
     Attributes:
         origin: (3,) of its camera, world, m.
@@ -82,7 +82,7 @@ def seen_depths(capture: Capture, T: F64, depths: Path, least: float = 0.0) -> I
         least: confidence of the depths that count, 0 to 1; 0 = all that are known.
 
     Raises:
-        SceneError: there is none of a shot, or it is damaged.
+        SceneError: a shot has no depths, or they are damaged.
     """
     for shot in capture.shots:
         depth, confidence = read_depth(depths, shot.name)

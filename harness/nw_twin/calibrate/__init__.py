@@ -1,7 +1,7 @@
 """From photographs, a video or somebody's cameras to a capture.
 
 calibrate.py    all of it: find what lies at a path, take in, compare, map, develop
-report.py       how far a piece of work is, and what was found
+report.py       progress lines, and the report of the results
 photographs.py  photographs and masks found and taken in; video.py, colmap.py,
                 exports.py nerfstudio and apps of phones
 features.py     features and matches, match_kernels.py their loops; mapping.py cameras and points

@@ -54,7 +54,7 @@ _UNDISTORT = "undistort it with `colmap image_undistorter`, or give the photogra
 
 
 def colmap_in(folder: Path, say: Say) -> Footage | None:
-    """Return the cameras and photographs of a COLMAP folder; None if it is none.
+    """Return the cameras and photographs of a COLMAP folder; None for another folder.
 
     Its model lies in `sparse/0`, `sparse` or the folder itself; of several in `sparse`, the one of
     the most photographs is taken. Its photographs lie in `images`, or beside the model.
@@ -140,7 +140,7 @@ def read_model(folder: Path) -> Solution:
     """Read a model.
 
     Raises:
-        SceneError: there is none, or it is damaged.
+        SceneError: the model is missing or damaged.
     """
     suffix = _suffix(folder)
     if suffix is None:

@@ -108,7 +108,7 @@ def unused(kind: str, keys: Iterable[str], where: str) -> tuple[str, ...]:
 
 
 def nerfstudio_in(folder: Path, size_of: SizeOf, name: str = FILE) -> Footage | None:
-    """Return the cameras and photographs of a folder with transforms.json; None if it is none.
+    """Return the cameras and photographs of a folder with transforms.json; None without one.
 
     The capture's frame is the one before `applied_transform`, which nerfstudio's own
     dataparser_transforms.json refers to as well.
@@ -451,7 +451,7 @@ def _without_margin(one: Found, working: Path, size_of: SizeOf) -> Found:
 
 
 def record3d_in(folder: Path, frames: int, say: Say) -> Footage | None:
-    """Return the cameras and photographs of Record3D, unpacked; None if it is none.
+    """Return the cameras and photographs of an unpacked Record3D file; None for other folders.
 
     Args:
         folder: that may be one.
@@ -528,7 +528,7 @@ _SAME_TIME = 0.005
 
 
 def arkit_scenes_in(folder: Path, frames: int, say: Say) -> Footage | None:
-    """Return the cameras and photographs of a scene of ARKitScenes; None if it is none.
+    """Return the cameras and photographs of a scene of ARKitScenes; None for other folders.
 
     Args:
         folder: that may be one.

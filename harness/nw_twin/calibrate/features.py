@@ -74,7 +74,7 @@ _Result = TypeVar("_Result")
 
 @dataclass(frozen=True, kw_only=True)
 class Matches:
-    """A database of COLMAP with features and verified matches, and what is in it.
+    """A database of COLMAP with features and verified matches, and its contents.
 
     Attributes:
         database: its file.
@@ -151,7 +151,7 @@ def match(
 
     Raises:
         SceneError: COLMAP fails.
-        StoreError: what is found cannot be kept.
+        StoreError: features or matches cannot be written.
     """
     with quiet() as pycolmap:
         try:
@@ -498,7 +498,7 @@ class _Matching:
             pool.shutdown(cancel_futures=True)
 
     def write(self, pairs: int) -> Matches:
-        """Write what was found into the database, and return what that is."""
+        """Write features and matches into the database, and return its contents."""
         pycolmap, files = self._colmap, [one.file for one in self._photographs]
         kinds = pycolmap.TwoViewGeometryConfiguration
         flat = {int(kinds.PLANAR), int(kinds.PANORAMIC), int(kinds.PLANAR_OR_PANORAMIC)}

@@ -1,4 +1,4 @@
-"""What a calibration has found so far, in a file of the scene's folder."""
+"""Features and matches of a calibration so far, in a file of the scene's folder."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Kept:
         return rows in ([], [(_TABLE,)])
 
     def get(self, key: bytes) -> bytes | None:
-        """Return what was kept, or None."""
+        """Return the stored bytes, or None."""
         try:
             row = self._file.execute("SELECT content FROM kept WHERE key = ?", (key,)).fetchone()
         except sqlite3.Error:  # Damaged: found again.
@@ -75,7 +75,7 @@ class Kept:
             raise self._unwritable(error) from None
 
     def close(self) -> None:
-        """Write what is not written yet.
+        """Write the entries that are not written yet.
 
         Raises:
             StoreError: it cannot be written.

@@ -302,7 +302,7 @@ def _posed(pycolmap: Any, matches: Matches, placed: Mapping[str, Placed]) -> Any
 
 
 def solution_of(model: Any, names: Mapping[str, str]) -> Solution:
-    """Return what a model of COLMAP holds, by photographs' names.
+    """Return the cameras and points of a COLMAP model, by photographs' names.
 
     Args:
         model: a `pycolmap.Reconstruction`.

@@ -347,7 +347,7 @@ _MOST_BYTES = 256 * 2**20
 
 @dataclass(frozen=True, kw_only=True)
 class Footage:
-    """What a calibration starts from.
+    """Input of a calibration: photographs and known cameras.
 
     Attributes:
         kind: what it is.
@@ -392,7 +392,7 @@ def read_json(path: Path) -> dict[str, Any]:
     """Return the object in a JSON file.
 
     Raises:
-        SceneError: there is none, or no object in it.
+        SceneError: the file is missing, or has no JSON object.
     """
     try:
         if regular(path).stat().st_size > _MOST_BYTES:
@@ -409,7 +409,7 @@ def number(value: Any, what: str) -> float:
     """Return a finite number of an untrusted file.
 
     Raises:
-        SceneError: it is none; naming what it was to be.
+        SceneError: the value is no number; the message names it.
     """
     good = isinstance(value, int | float) and not isinstance(value, bool)
     if not good or abs(value) > 1e15 or math.isnan(value):

@@ -1,4 +1,4 @@
-"""What a calibration says to whoever reads it: its progress, and what it found."""
+"""Progress lines of a calibration, and its report."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Pace:
             self._last = now
 
     def goes_on(self) -> None:
-        """Say for how long the work goes on, if the last line is some seconds old."""
+        """Print the time that is left, if the last line is some seconds old."""
         now = self.clock()
         if now - self._last >= _EVERY:
             self.say(f"{self.what}: {_duration(now - self._begin)} so far")
@@ -87,7 +87,7 @@ class LeftOut:
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationReport:
-    """What a calibration read, did and found.
+    """Report of a calibration: its input, its steps and its results.
 
     Attributes:
         source: what was read: the kind of Footage.
@@ -142,7 +142,7 @@ class CalibrationReport:
 
 
 def by_reason(left_out: tuple[LeftOut, ...]) -> list[str]:
-    """Return a line for each reason, with the first photographs that it holds for."""
+    """Return a line for each reason, with the first photographs that it applies to."""
     reasons = dict.fromkeys(one.reason for one in left_out)
     return [_line(reason, [one for one in left_out if one.reason == reason]) for reason in reasons]
 

@@ -9,10 +9,10 @@
     trainer.run()
     write_splat(path, trainer.gaussians)
 
-config.py      what a training is asked to do
+config.py      options of a training
 trainer.py     the loop, and a training on disk
 initial.py     Gaussians to begin with: at points, such as those of a mesh, and of the sky
-images.py      a photograph, what is known of its depth, and what is rendered
+images.py      a photograph, its known depths, and the rendered images
 rasteriser.py  pictures and gradients; kernels/ its compiled half
 loss.py        what training minimises; PSNR and SSIM of views that no step saw
 density.py     Gaussians with their moments, how they come and go; floaters

@@ -1,4 +1,4 @@
-"""What a training is asked to do; its strategies have the numbers of their papers' code."""
+"""Options of a training; its strategies have the constants of their papers' code."""
 
 from __future__ import annotations
 

@@ -158,11 +158,11 @@ class Density:
     """Attributes that are arrays and all that it knows from one step to the next."""
 
     def weigh(self, population: Population, gradients: Gradients) -> float:
-        """Add the gradient of terms of its own; return what they add to the loss."""
+        """Add the gradient of the strategy's own terms; return their loss."""
         return 0.0
 
     def observe(self, gradients: Gradients, camera: Camera) -> None:
-        """Note what a view's gradient tells."""
+        """Accumulate the statistics of a view's gradient."""
 
     def after(
         self,
@@ -181,17 +181,17 @@ class Density:
         """
 
     def keep(self, rows: NDArray[np.bool_]) -> None:
-        """Forget what is remembered of all other rows, which are removed."""
+        """Keep the statistics of these rows; the other rows are removed."""
         for name, array in self.arrays().items():
             setattr(self, name, array[rows])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return what is remembered, by name."""
+        """Return the statistics by name."""
         return {name: getattr(self, name) for name in self.remembered}
 
 
 class DefaultDensity(Density):
-    """What is known of each Gaussian since the last time some came and went.
+    """Statistics of each Gaussian since the last change of their number.
 
     Args:
         settings: of the strategy.
@@ -348,7 +348,7 @@ class McmcDensity(Density):
         self._settings, self._most = settings, most
 
     def weigh(self, population: Population, gradients: Gradients) -> float:
-        """Add the gradient of the weights on opacity and size; return what they add to the loss."""
+        """Add the gradient of the weights on opacity and size; return their loss."""
         settings, n = self._settings, len(population)
         opacity = population.opacities()
         scales = np.exp(population.gaussians.log_scales)

@@ -17,7 +17,7 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True)
 class Photo:
-    """What a camera saw, and how far away it was where that is known.
+    """A camera's photograph, with its depth where that is known.
 
     Attributes:
         name: for people.

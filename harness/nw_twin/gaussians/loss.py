@@ -34,7 +34,7 @@ _EPSILON = 1e-8
 
 @dataclass(frozen=True, kw_only=True)
 class Compared:
-    """What one view says.
+    """Loss of one view and its gradient.
 
     Attributes:
         value: the loss.
@@ -63,7 +63,7 @@ def compare(
     depth_weight: float,
     workers: Threads,
 ) -> Compared:
-    """Compare what was rendered with a photograph.
+    """Compare a rendered image with a photograph.
 
     Args:
         images: as rendered by the photograph's camera.
@@ -102,7 +102,7 @@ def compare(
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoLoss:
-    """(1 - w) l1 + w (1 - ssim), and what it is made of.
+    """(1 - w) l1 + w (1 - ssim), and its terms.
 
     Attributes:
         value: the sum.

@@ -85,7 +85,7 @@ class Rasteriser:
         self._frame: _Frame | None = None
 
     def render(self, gaussians: Gaussians, camera: Camera, *, sh_degree: int = 3) -> Images:
-        """Return what a camera sees; the caller owns the arrays.
+        """Return the image of a camera; the caller owns the arrays.
 
         Args:
             gaussians: what to render.

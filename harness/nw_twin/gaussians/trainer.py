@@ -55,7 +55,7 @@ class TrainStep:
     Attributes:
         iteration: steps done with this one.
         photo: number of the photograph.
-        loss: what was minimised.
+        loss: the minimised value.
         l1: mean absolute difference of the photograph.
         ssim: mean structural similarity.
         depth: the weighted term of depth.
@@ -127,7 +127,7 @@ class Trainer:
         return self.population.gaussians
 
     def marked(self) -> Gaussians:
-        """Return the Gaussians with what they are trained for."""
+        """Return the Gaussians, marked with the rasterize mode of their training."""
         return replace(
             self.gaussians,
             rasterize_mode="antialiased" if self.config.antialiased else "classic",
@@ -269,7 +269,7 @@ def resume_training(
     Args:
         path: of `save_training`.
         photos: as before.
-        start: as before: what it began with, not what it has come to.
+        start: the Gaussians that the training began with, not its current ones.
         config: as before.
         threads: any number.
 

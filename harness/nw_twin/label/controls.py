@@ -56,7 +56,7 @@ class Controls:
 
     Attributes:
         chosen: index of the waypoint that is moved.
-        click: what a click puts, one of `CLICKS`.
+        click: the object that a click places, one of `CLICKS`.
         by_name: all buttons and keys, by their labels.
         place: the tabs of the scene itself.
     """
@@ -123,7 +123,7 @@ class Controls:
                 add()
 
     def set_click(self, click: str) -> None:
-        """Choose what a click puts."""
+        """Choose the object that a click places."""
         self.click = click
 
     def choose(self, step: int) -> None:
@@ -208,8 +208,8 @@ class SceneControls:
     """Three tabs: scale, place and view.
 
     Args:
-        panel: what they are added to.
-        labelling: what they act on.
+        panel: the panel that they are added to.
+        labelling: the labelling that they change.
         has_splat: whether there is one to show.
         cuts: whether the view is cut at a level at first.
         click_floor: lets clicks put points on the floor.
@@ -246,7 +246,7 @@ class SceneControls:
 
     @property
     def cutaway(self) -> Cutaway:
-        """What is shown of the scene."""
+        """The part of the scene that is shown."""
         return Cutaway(level=self._level.value if self._cuts else None)
 
     def refresh(self) -> None:
@@ -320,7 +320,7 @@ class SceneControls:
         panel.button("Take the crop back", lambda: labelling.crop_to(None))
 
     def add_view(self, level: float | None, look: Callable[[], object]) -> None:
-        """Add what is shown to the tab that is open."""
+        """Add the controls of the view to the open tab."""
         panel, gui = self._panel, self._panel.gui
         panel.row(
             "Show, hide (V C R)",
@@ -361,7 +361,7 @@ class ControlPanel:
         run: wraps every action.
 
     Attributes:
-        by_name: what was added, by its label.
+        by_name: the controls by label.
     """
 
     def __init__(self, gui: Any, run: Run) -> None:

@@ -36,7 +36,7 @@ class Drawing:
 
     Args:
         server: viser's.
-        labelling: what is drawn.
+        labelling: the labelling to draw.
         splat: in the world as it was opened; None = the scene has no appearance.
     """
 
@@ -187,7 +187,7 @@ def _edges(box: CropBox) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, kw_only=True)
 class Cutaway:
-    """What is shown of a scene.
+    """The part of a scene that is shown.
 
     Attributes:
         level: height above which nothing is; world, m; None = all is shown.
@@ -222,7 +222,7 @@ class Cutaway:
         return splat.take(shown)
 
     def ray(self, origin: Point, direction: Point) -> Point | None:
-        """Return where a ray (world, m) comes into what is shown; None where it does not."""
+        """Return where a ray (world, m) enters the shown part; None if it does not."""
         if self.level is None or origin[2] <= self.level:
             return origin
         if direction[2] >= 0:

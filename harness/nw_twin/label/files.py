@@ -273,7 +273,7 @@ class SceneText:
         T_world_splat: NDArray[np.float64],
         to_scale: bool = True,
     ) -> str:
-        """Return the text with what a labelling decides; what is as it was keeps its spelling."""
+        """Return the text with the values of a labelling; unchanged values keep their spelling."""
         if "units" in self._text or not to_scale:
             _put(self._text, "units", "m" if to_scale else "unknown")
         _edit(self._text, course, collision, captures, T_world_splat)

@@ -1,4 +1,4 @@
-"""The ground of a scene: what a click meets, heights along a course, and what legs make of them.
+"""The ground of a scene: the point under a click, heights along a course, and obstacles there.
 
 A height profile asks something of legs: hurdles, gaps, steps and ramps. Hints say what the shipped
 policy can be expected to do with them.

@@ -119,7 +119,7 @@ class LabelPage:
                 self._show_error(f"{type(error).__name__}: {error} (a fault of nw-eval)")
 
     def click(self, origin: Point, direction: Point) -> None:
-        """Put what is chosen where a ray (world, m) meets the scene."""
+        """Place the chosen object where a ray (world, m) meets the scene."""
         labelling, controls = self._labelling, self.controls
         seen_from = self._drawing.cutaway.ray(origin, direction)
         point = labelling.snapped(seen_from, direction) if seen_from is not None else None

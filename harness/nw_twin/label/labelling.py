@@ -54,7 +54,7 @@ from nw_twin.place import Route
 
 
 class SceneEdits:
-    """A scene: where it lies, what is kept of it, and every state that can be gone back to.
+    """A scene: its placement, its crop, and the states of undo.
 
     Trail, start and markers move along with the scene.
 
@@ -70,7 +70,7 @@ class SceneEdits:
 
     @property
     def state(self) -> LabelState:
-        """What is decided now."""
+        """The current state."""
         return self._shown.state
 
     @property
@@ -154,7 +154,7 @@ class SceneEdits:
             self._move(level_on(np.array(points)), floor=())
 
     def crop_to(self, box: CropBox | None) -> None:
-        """Keep what is in a box (world, m); None = all."""
+        """Crop the scene to a box (world, m); None removes the crop."""
         self._check_scan()
         after = replace(self.state, crop=box)
         shown = ShownScene(self.place.mesh, after)
@@ -443,7 +443,7 @@ class Labelling(SceneEdits):
 
     @property
     def words(self) -> str:
-        """What is decided, in a line for people."""
+        """The current state in one line of text."""
         state = self.state
         where = ", ".join(f"{part:.2f}" for part in self.start.position)
         unit = "" if state.to_scale else ", not to scale"
@@ -451,14 +451,14 @@ class Labelling(SceneEdits):
 
     @property
     def is_saved(self) -> bool:
-        """Whether the files say what is decided now; markers are not saved."""
+        """Whether the files have the current state; markers are not saved."""
         current, saved = (replace(one, markers=(), floor=()) for one in (self.state, self._saved))
         return current == saved
 
     def save(self) -> Path:
-        """Write what is decided into the scene folder that was opened.
+        """Write the current state into the opened scene folder.
 
-        What is undone afterwards can be saved again: all states are of the files as opened.
+        An undone state can be saved, too: all states refer to the files as opened.
 
         Returns:
             The folder.

@@ -1,4 +1,4 @@
-"""All that a labelling decides: where a scene lies, what is kept of it, and the robot's course.
+"""State of a labelling: a scene's placement, its crop, and the robot's course.
 
 A placement is a similarity, with the moves that change it. A crop is a box of the world; triangles
 of a mesh are cut at its sides. A state is one value that is never changed, only followed by
@@ -133,7 +133,7 @@ def as_point(values: NDArray[np.float64]) -> Point:
 
 @dataclass(frozen=True, kw_only=True)
 class CropBox:
-    """What is kept of a scene: a box with its sides along the world's axes.
+    """Crop of a scene: a box with its sides along the world's axes.
 
     Attributes:
         low: smallest x, y, z; world, m.
@@ -245,7 +245,7 @@ class LabelState:
         waypoints: in order, on top of what the robot steps on; world, m.
         start: None = 1 m before the first waypoint, looking at it.
         placement: of the files that were opened.
-        crop: what is kept of the scene, after it was placed; None = all.
+        crop: box in the world that the placed scene is cut to; None = no crop.
         markers: two at most, for measuring; world, m.
         floor: two at most of the three points that lay the floor; world, m.
         to_scale: whether lengths are metres; else in an unknown unit.

@@ -70,7 +70,7 @@ _DAMAGE = (OSError, ValueError, LookupError, TypeError, EOFError, BadZipFile, zl
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthMap:
-    """What is known of one view's surfaces, at the size that it was worked at.
+    """Depth, normals and confidence of one view, at its working size.
 
     Attributes:
         view: of the capture.
@@ -357,7 +357,7 @@ def read_depth(folder: Path, shot: str) -> tuple[NDArray[np.float32], NDArray[np
 
 
 def write_matched(path: Path, matched: Matched, key: str) -> Matched:
-    """Keep planes under the key of what they are of; return them as they are read again.
+    """Write planes with the key of their inputs; return them as a later read gives them.
 
     Raises:
         StoreError: the file cannot be written.

@@ -1,4 +1,4 @@
-"""Depth maps with what is plain filled in: planes that several views agree on.
+"""Depth maps with plain areas filled in by planes that several views agree on.
 
 What has no texture has no depth of its own, but floors, platforms and walls end at edges that have.
 Planes are found where depth is known; each pixel is given the one that fits it and its neighbours
@@ -320,7 +320,7 @@ def _agreed(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Labels:
-    """What a view shows.
+    """The plane of each pixel of a view.
 
     Attributes:
         depth: (H, W) float32: of the plane, or as it was known without one.
@@ -500,7 +500,7 @@ class PixelWindow:
         self._cv2, self._side = package("cv2"), (side, side)
 
     def warp(self, picture: F32, H: F64, out: F32) -> F32:
-        """Return the picture as its homography shows it; what is outside is grey, 0."""
+        """Return the picture warped by its homography; pixels outside are grey, 0."""
         cv2 = self._cv2
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return cv2.warpPerspective(picture, H, out.shape[::-1], out, flags)

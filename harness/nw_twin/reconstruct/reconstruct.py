@@ -1,4 +1,4 @@
-"""A capture to depth maps and a mesh, and a report of what was read and done.
+"""A capture to depth maps and a mesh, with a report.
 
 OpenMVS does it where its programs are installed: they are called, nothing of them is in here. It
 reads a capture as a COLMAP model in text. Its mesh comes without depth maps and colours of ours:
@@ -350,7 +350,7 @@ def reconstruct(
     say: Say,
     threads: int = 2,
 ) -> ReconstructReport:
-    """Reconstruct what a capture shows.
+    """Reconstruct the surface of a capture.
 
     Writes `out/depth/<shot>.npz` (depth along the optical axis, 0 where not known, and confidence,
     both (H, W) float32 of the picture's size, and normals (H, W, 3) float16 in the camera's frame),

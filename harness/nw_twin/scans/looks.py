@@ -1,4 +1,4 @@
-"""What a scan looks like: Gaussians in a mesh's colours, or a splat that lies beside the mesh."""
+"""Appearance of a scan: Gaussians in a mesh's colours, or a splat beside the mesh."""
 
 from __future__ import annotations
 

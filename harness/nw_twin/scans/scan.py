@@ -119,7 +119,7 @@ class WrittenScan:
         folder: where it lies.
         digest: of the scene.
         before: the digest that it had; None of a new one, or one that could not be loaded.
-        lines: what was done, one line for each thing.
+        lines: one line for each step that was done.
         fault: why it is not ready: no robot can start there yet, or `scenes check` finds an error;
             with what to do. None = it is.
     """

@@ -165,7 +165,7 @@ def points_of(
 
 
 def scan_lines(written: WrittenScan) -> str:
-    """Return what was done to a scan, the scene's digest, and the command to go on with."""
+    """Return the steps of an import, the scene's digest, and the next command."""
     digest = f"digest {written.digest[:16]}"
     if written.before is not None:
         same = written.before == written.digest

@@ -297,7 +297,7 @@ class LabelScene:
 
 
 def settings_of(flags: object, threads: int | None) -> BuildSettings:
-    """Return what a build is asked to do; what a verb has no flag for is as it is by default.
+    """Return the options of a build; an option without a flag of the verb has its default.
 
     Raises:
         UsageError: a number makes no sense.

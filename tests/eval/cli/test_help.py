@@ -95,6 +95,13 @@ def test_options_of_a_verb_that_has_many_are_listed_under_titles(capsys):
     assert len(names) == len(set(names))
 
 
+def test_a_title_of_a_package_stands_over_options_of_its_own_verbs_only(capsys):
+    assert ends("baseline", "save", "--help") == 0
+    assert "Gaussians:" not in capsys.readouterr().out
+    assert ends("twin", "build", "--help") == 0
+    assert "\nGaussians:\n" in capsys.readouterr().out
+
+
 def test_the_same_letter_and_the_same_word_stand_for_one_option_in_all_verbs():
     letters = {}
     for form in LEAVES.values():

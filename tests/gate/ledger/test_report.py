@@ -193,4 +193,4 @@ def test_an_empty_ledger_says_so_and_a_short_one_foretells_no_year(make_entry):
     )
     short = ledger_report([make_entry(), make_entry(days=2, checkpoint=1)])
     assert short.per_year is None
-    assert "too short a time to foretell a year" in ledger_page(short)
+    assert "too few days to estimate the gates of a year" in ledger_page(short)

@@ -31,15 +31,15 @@ class Attribute:
     If the suite measures scores, the output also shows when the trial first exceeded a joint or
     motor limit (`limit_time`) or violated what the suite expects, and when the baseline did.
 
-    With --cause: perception or control? Runs all four combinations of old and new perception and
-    control and splits the drop between them. The run's reports show the result.
+    --cause tells perception from control: it runs all four combinations of old and new perception
+    and control and splits the drop between them. The run's reports show the result.
     """
 
     run: tyro.conf.Positional[Path]
     """A run folder with its mcap/."""
     baseline: str
-    """The policy that takes over; must be the one the baseline (a name or path) was saved from. If
-    the suite has no such baseline, a policy."""
+    """The baseline (a name or path) whose policy takes over, or a policy if the suite has no such
+    baseline."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """Where the baseline's policy is (default: the path in the baseline)."""
     checkpoint: Checkpoint = None

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
-from nw_eval.cli.verbs.table import OPTION_GROUPS, VERBS, docs_line
+from nw_eval.cli.verbs.table import OPTION_GROUPS, TITLES_OF_PACKAGES, VERBS, docs_line
 
 _COLUMN = 28
 """Where the words on an option begin, unless the terminal is narrow."""
@@ -124,7 +124,7 @@ def verb_page(name: str, form: type, examples: Sequence[str]) -> str:
     for paragraph in inspect.cleandoc(form.__doc__ or "").split("\n\n"):
         lines += [_filled(paragraph), ""]
     width = _width([each.shown for each in options])
-    for title, listed in _grouped(options):
+    for title, listed in _grouped(options, form):
         lines += [f"{title}:", *_listed([(each.shown, _words(each)) for each in listed], width), ""]
     return _ended(lines, [f"{name} {example}".rstrip() for example in examples], name)
 
@@ -147,13 +147,15 @@ def _words(option: Option) -> str:
     return f"{option.help} Required." if option.is_required and option.flags else option.help
 
 
-def _grouped(options: Sequence[Option]) -> Iterator[tuple[str, list[Option]]]:
+def _grouped(options: Sequence[Option], form: type) -> Iterator[tuple[str, list[Option]]]:
     """Yield the options under their titles: arguments first, what has no title last."""
     if arguments := [each for each in options if not each.flags]:
         yield "Arguments", arguments
     left = [each for each in options if each.flags]
     if len(left) > _MANY:
         for title, names in OPTION_GROUPS.items():
+            if not form.__module__.startswith(TITLES_OF_PACKAGES.get(title, "")):
+                continue
             if listed := [each for name in names for each in left if each.name == name]:
                 yield title, listed
                 left = [each for each in left if each not in listed]

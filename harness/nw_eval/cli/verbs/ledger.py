@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 @verb_of("read_ledger")
 class Ledger(Printed, Verb):
-    """Summarize a ledger: gates per year, false alarms, re-rolls, and how lucky the best are."""
+    """Summarize a ledger of verdicts: gates per year, false alarms, repeated tests, best of many.
+
+    A ledger is the file to which `run --ledger` and `gate --ledger` append their verdicts.
+    """
 
     file: Path
 
@@ -56,7 +59,7 @@ def _lines(report: LedgerReport) -> Iterator[str]:
 
 def _rate(report: LedgerReport) -> str:
     if report.per_year is None:
-        return "too short a time to foretell a year"
+        return "too few days to estimate the gates of a year"
     return f"{report.per_year:.0f} gates a year at this rate"
 
 

@@ -21,10 +21,9 @@ if TYPE_CHECKING:
 class Limits:
     """Find the hardest rung of each ladder that a policy still completes, with bounds.
 
-    A ladder is a row of scenes from easy to hard, such as bars of 0.10 to 0.62 m (`nw-eval scenes
-    ladders` lists them). Trials go where they decide most, so that a ladder usually takes
-    20 to 60 of them.
-    Writes limits.json, limits.md and limits.html.
+    A ladder is a series of scenes from easy to hard, such as bars of 0.10 to 0.62 m (`nw-eval
+    scenes ladders` lists them). Each next trial is run where it decides most; a ladder usually
+    takes 20 to 60 trials. Writes limits.json, limits.md and limits.html.
     """
 
     ladders: Annotated[tuple[str, ...], tyro.conf.Positional] = ()

@@ -43,8 +43,8 @@ class Init(Verb):
     """Derive a first robot.yaml from a model file, drop the robot for 2 s, and write it.
 
     The file is written beside the model, or in the folder above that has model and meshes. Each
-    line names its source; `CHECK` marks a guess. --out is a folder; that of `policies init` is a
-    file.
+    line names its source; `CHECK` marks a guess. --out names a folder here, and a file in
+    `policies init`.
     """
 
     def show(self, result: RobotDraft) -> str:

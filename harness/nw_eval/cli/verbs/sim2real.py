@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 
 @verb_of("sim2real")
 class SimToReal(Printed, Verb):
-    """Compare simulated results with real-robot results, and with a perfect simulator."""
+    """Compare simulated results with real-robot results.
+
+    Prints the gap of each policy, and how well simulator and robot agree on the ranking (Pearson,
+    Spearman, MMRV). Beside it stands what a perfect simulator would show in as many trials.
+    """
 
     real: Path
 
@@ -30,10 +34,10 @@ class SimToReal(Printed, Verb):
 _WIDTH = 100
 _TITLES = {"pearson": "Pearson's r", "spearman": "Spearman's rho", "mmrv": "MMRV"}
 _NOTE = (
-    "Intervals: of what sets of as many such policies show in the mean (jackknife over policies). "
-    "A perfect simulator has the robot's own {what} for every policy, and shows this in as many "
-    "trials: no worse than its worst 5 % is no sign of a fault. MMRV, the mean maximum rank "
-    "violation, is best at 0."
+    "Intervals are for the mean over sets of as many such policies (jackknife over policies). A "
+    "perfect simulator has the robot's own {what} for every policy; the last columns show its "
+    "values in as many trials. A value no worse than its worst 5 % does not show a fault. MMRV, "
+    "the mean maximum rank violation, is best at 0."
 )
 
 

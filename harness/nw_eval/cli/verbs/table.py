@@ -219,8 +219,11 @@ OPTION_GROUPS: dict[str, tuple[str, ...]] = {
     "Name and licence": ("name", "note", "licence"),
 }
 """Titles under which `--help` lists the options of a verb that has many, by field."""
+TITLES_OF_PACKAGES: dict[str, str] = {}
+"""Packages by the titles that they add; such a title is for options of the package's own verbs."""
 
 for _others in _OTHERS:
     RENAMED_FLAGS.update(_others.renamed_flags)
     OUT_WAS_POSITIONAL.update(_others.out_was_positional)
     OPTION_GROUPS.update(_others.option_groups)
+    TITLES_OF_PACKAGES.update(dict.fromkeys(_others.option_groups, _others.module))

@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     listens=True,
 )
 class Verify(Printed, Verb):
-    """Check a run's results and logs for changes.
+    """Check a run's results and logs for changes, and re-run a random sample of its trials.
 
-    Then re-run a random sample of its trials and compare states, actions and images exactly. The
-    run's folder is not changed.
+    States, actions and images of the re-run trials must be identical. The run's folder is not
+    changed.
     """
 
     goes_on = "interrupted; not all of the trials that were drawn have run"
