@@ -142,6 +142,7 @@ def limits(
     names = _folder_names([family.name for family in families])
     found: list[LadderLimit] = []
     results: list[_Climb] = []
+    whole = FoundLimits(out=folder, limits=(), interrupted=False)
     climbs = [
         (family, label, planned, folder / name / f"{number}")
         for (family, both), name in zip(plans, names, strict=True)
