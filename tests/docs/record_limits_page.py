@@ -52,13 +52,18 @@ def limits_of(policy: Mapping[str, Any]) -> dict[str, Limit]:
 def of_folder(group: str, name: str, folder: Path) -> dict[str, Any]:
     """Return what a folder of `nw-eval limits` found, as the record has it."""
     found = json.loads((folder / "limits.json").read_text(encoding="utf-8"))["limits"]
-    info = read_run_info(folder / found[0]["run"] / "run.json")
+    infos = [read_run_info(folder / each["run"] / "run.json") for each in found]
+    info = infos[0]
     return {
         "group": group,
         "name": name,
         "checkpoint": info.policy.checkpoint_digest,
         "robot": info.suite["robot"] if "/" not in str(info.suite["robot"]) else "",
-        "limits": {each["ladder"]: each["limit"] for each in found},
+        "limits": {
+            each["ladder"]: each["limit"]
+            for each, run in zip(found, infos, strict=True)
+            if not run.interrupted
+        },
     }
 
 
