@@ -140,6 +140,19 @@ def ladders_like(scenes: Sequence[str]) -> tuple[str, ...]:
     return tuple(each.name for each in known if each.name.partition("/")[0] in classes)
 
 
+def check_name(file: Path, suite: str) -> None:
+    """Refuse a file whose suite would be called as the one that it is made from.
+
+    Raises:
+        UsageError: it would.
+    """
+    if suite_name(file.stem) == suite:
+        raise UsageError(
+            f"--write-suite {file}: a suite {suite!r} is what it was planned with",
+            fix="give the file another name, which becomes the suite's",
+        )
+
+
 def write_proposal(
     file: Path, plan: Plan, proposal: Proposal, policy: MeasuredPolicy, seeds: Sequence[int]
 ) -> None:
@@ -155,15 +168,9 @@ def write_proposal(
         seeds: of its searches for limits.
 
     Raises:
-        UsageError: it would be called as the suite that it was made from.
         StoreError: it cannot be written.
     """
-    suite, name = plan.suite, suite_name(file.stem)
-    if name == suite.name:
-        raise UsageError(
-            f"--write-suite {file}: a suite {name!r} is what it was planned with",
-            fix="give the file another name, which becomes the suite's",
-        )
+    suite = plan.suite
     references = {found.scene.name: found.reference for found in plan.found}
     gate = suite.gate
     left = {"success_rate", "baseline", "tiers", "max_drop", "rounds"}
@@ -171,7 +178,7 @@ def write_proposal(
     own = suite.source.base
     settings |= {
         "nw-eval": 1,
-        "name": name,
+        "name": suite_name(file.stem),
         "policy": entry_from(file.parent, policy.typed)
         if policy.typed
         else entry_from(file.parent, suite.policy, own),

@@ -197,6 +197,8 @@ def _proposed(
             f"suite {planned.suite!r} has perturbations, and a suite is proposed only without",
             fix="drop --limits and --write-suite, or leave `perturb` out of the suite",
         )
+    if file is not None:
+        proposals.check_name(file, planned.suite)
     found = propose(outset, items, planned.detect)
     if file is not None:
         if found is None:

@@ -246,7 +246,8 @@ def _forecasts(outset: Outset, drop: float, share: float) -> Forecasts:
 def _log_factor(seen: Sequence[SceneCounts], drop: float) -> float:
     """Return the logarithm of the factor of all odds with which a policy is worse by a drop."""
     mean = _mean(seen)
-    before, after = (chances_at(list(seen), each) for each in (mean, mean - drop))
+    left = max(mean - drop, 1e-6)
+    before, after = (chances_at(list(seen), each) for each in (mean, left))
     # All scenes have the same one; where the odds are even it is known best.
     place = int(np.abs(before - 0.5).argmin())
     return _log_odds(float(after[place])) - _log_odds(float(before[place]))

@@ -3,18 +3,22 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from io import BytesIO
 
 import pytest
 from PIL import Image, ImageSequence
 
+import nw_eval
 from nw_base.errors import IncomparableError, SceneError, UsageError
 from nw_eval import api
 from nw_eval.api import climbing
 from nw_eval.api.ladder_runs import folder_names
+from nw_eval.api.proposals import write_limits_suite
 from nw_eval.cli import main
 from nw_eval.engine.listener import NullListener
 from nw_eval.reporting.markdown import render_markdown
+from nw_eval.suite import load_suite
 from nw_gate.limits.limit import Limit
 from nw_gate.results.row import rows_digest
 from nw_policies import find_card
@@ -164,6 +168,52 @@ def test_limits_that_are_not_those_of_their_trials_are_named_and_not_shown(stand
     assert "limits.json cannot be read" in damaged_says
     assert "outside: " in outside_says
     assert "or harder" not in listed.page.read_text()
+
+
+def limit_of(standing, ladder, cleared):
+    """Return a limit as if 40 trials were completed at one rung and none at the next."""
+    (each,) = standing.limits
+    known = nw_eval.rungs_of(ladder)
+    rungs = tuple(rung.value for rung in known)
+    trials = ((cleared, True),) * 40 + ((cleared + 1, False),) * 40
+    inside = tuple(trial for trial in trials if 0 <= trial[0] < len(rungs))
+    ladder_of_it = replace(each.limit.ladder, rungs=rungs)
+    limit = replace(each.limit, ladder=ladder_of_it, trials=inside, staked=len(inside))
+    return replace(each, ladder=ladder, limit=limit)
+
+
+def test_a_suite_has_the_rungs_around_limits_that_have_two_bounds(standing, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "around.yaml"
+    limits = [
+        limit_of(standing, "stairs/up", 4),
+        limit_of(standing, "hurdles/bar", -1),
+        limit_of(standing, "hurdles/one_low_carpet+strength", 3),
+    ]
+    left = write_limits_suite(file, limits, robot="go1", policy="stand", seed=1)
+    assert left == ("hurdles/bar", "hurdles/one_low_carpet+strength")
+    rungs = nw_eval.rungs_of("stairs/up")
+    written = load_suite(file)
+    assert written.scenes == (rungs[4].scene, rungs[5].scene)
+    assert (written.name, written.policy, written.seed) == ("around", "stand", 2)
+    assert main_ends("check", str(file)) == 0
+
+
+def test_a_suite_without_a_limit_is_refused(standing, tmp_path):
+    limits = [limit_of(standing, "hurdles/bar", -1)]
+    with pytest.raises(UsageError, match="no ladder has a limit with two bounds; the limits them"):
+        write_limits_suite(tmp_path / "x.yaml", limits, robot="go1", policy="stand", seed=1)
+    assert not (tmp_path / "x.yaml").exists()
+    with pytest.raises(UsageError, match=r"rungs of hurdles/one_low_carpet\+strength are pertur"):
+        api.limits(
+            ["hurdles/one_low_carpet+strength"], policy="stand", write_suite=tmp_path / "x.yaml"
+        )
+
+
+def main_ends(*words):
+    with pytest.raises(SystemExit) as left:
+        main([*words])
+    return left.value.code
 
 
 def test_rungs_of_a_perturbation_are_climbed_in_one_scene(tmp_path):

@@ -1,5 +1,6 @@
 """How many trials a gate needs: from a baseline, and from the rows of a run; nothing is run."""
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -9,8 +10,12 @@ from command_line import ends
 from PIL import Image
 from saved_runs import info_of, row_of, save
 
+import nw_eval
 from nw_base.errors import IncomparableError, UsageError
 from nw_eval import api
+from nw_eval.suite import load_suite
+from nw_gate.limits.ladder import Ladder
+from nw_gate.limits.limit import Limit
 from nw_gate.results.baseline import (
     BaselineKey,
     BaselinePolicy,
@@ -240,3 +245,111 @@ def test_a_drop_that_no_number_of_trials_convicts_is_called_so(suite, run, capsy
     page = capsys.readouterr().out
     assert "a policy 0.04 worse is REGRESSED at most in" in page
     assert "even with all initial states" in page
+
+
+SCENES = ("hurdles/one_low_carpet", "flat/carpet_room")
+RUNGS = (0.3, 0.34)
+RUNG_SCENES = tuple(f"hurdles/bar@{value}" for value in RUNGS)
+
+
+def climb(tmp_path, *, digest="cc" * 32, protocol="strict"):
+    """Return what a search for limits leaves: ten trials at each of two rungs, half completed."""
+    path = tmp_path / "rungs.yaml"
+    text = SUITE.replace("flat/carpet_room, hurdles/one_low_carpet", ", ".join(RUNG_SCENES))
+    text = text.replace("seed: 7", "seed: 8").replace("trials: 30", "trials: 10")
+    path.write_text(text + f"protocol: {protocol}\n")
+    plan = api.plan(path)
+    infos = {
+        scene.name: SceneInfo(digest=scene.digest, task=scene.task, trials=10)
+        for scene in plan.scenes
+    }
+    policy = PolicyInfo(name="trot", checkpoint_digest=digest)
+    rows = [row_of(trial, 4 if trial.index % 2 else 1, policy="trot") for trial in plan.trials]
+    folder = tmp_path / "limits"
+    save(folder / "hurdles-bar" / "1", info_of(plan.suite, infos, policy=policy), rows)
+    rungs = tuple(rung.value for rung in nw_eval.rungs_of("hurdles/bar"))
+    trials = tuple((rungs.index(value), bool(index % 2)) for value in RUNGS for index in range(10))
+    limit = Limit(
+        ladder=Ladder(name="height of the bars", rungs=rungs, unit="m"),
+        share=0.5,
+        confidence=0.95,
+        width=2,
+        trials=trials,
+        staked=len(trials),
+    )
+    entry = {"policy": "trot", "ladder": "hurdles/bar", "run": "hurdles-bar/1"}
+    limits = {"nw-limits": 1, "limits": [{**entry, "limit": limit.as_dict()}]}
+    (folder / "limits.json").write_text(json.dumps(limits))
+    return folder
+
+
+@pytest.fixture
+def climbed(tmp_path):
+    return climb(tmp_path)
+
+
+@pytest.fixture
+def fine(suite):
+    """The suite with a gate that takes more trials."""
+    path = suite.with_name("fine.yaml")
+    path.write_text(SUITE.replace("max_drop: 0.2, rounds: 20", "max_drop: 0.1, rounds: 100"))
+    return path
+
+
+def test_a_suite_of_measured_rungs_is_proposed_and_can_be_checked(
+    fine, run, climbed, tmp_path, capsys
+):
+    file = tmp_path / "sharp.yaml"
+    words = ["plan", fine, "--run", run, "--limits", climbed, "--write-suite", file]
+    assert ends(*words) == 0
+    page = capsys.readouterr().out
+    assert "adds hurdles/bar@0.3" in page
+    assert f"written to {file}" in page
+    assert ends("check", file) == 0
+    written = load_suite(file)
+    assert written.name == "sharp"
+    assert set(written.scenes) <= {*SCENES, *RUNG_SCENES}
+    assert written.seed == 9, "neither the suite's nor that of the search"
+    assert (written.gate.max_drop, written.gate.baseline) == (0.1, None)
+    assert written.gate.rounds * len(written.scenes) <= 200
+
+
+def test_a_plan_is_json_with_what_each_scene_tells(fine, run, climbed, capsys):
+    assert ends("plan", fine, "--run", run, "--limits", climbed, "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {each["scene"] for each in found["items"]} == {*SCENES, *RUNG_SCENES}
+    assert {each["scene"] for each in found["items"] if each["in_suite"]} == {*SCENES}
+    proposed = found["proposal"]["proposed"]["worse"]["trials"]
+    assert proposed < found["proposal"]["today"]["worse"]["trials"]
+
+
+def test_without_measured_rungs_the_page_says_what_measures_them(suite, run, capsys):
+    assert ends("plan", suite, "--run", run) == 0
+    page = capsys.readouterr().out
+    assert "nw-eval limits hurdles/bar hurdles/block hurdles/clearance" in page
+    assert "Proposed" not in page
+
+
+def test_what_nothing_can_be_proposed_of_is_said(suite, run, climbed, tmp_path):
+    file = tmp_path / "sharp.yaml"
+    with pytest.raises(UsageError, match=r"holds no limits \(no limits\.json in it\)"):
+        api.plan_trials(suite, run=run, limits=[tmp_path])
+    with pytest.raises(UsageError, match="a suite 'two' is what it was planned with"):
+        api.plan_trials(suite, run=run, limits=[climbed], write_suite=tmp_path / "two.yaml")
+    with pytest.raises(UsageError, match=r"no suite of these scenes finds a drop of 0\.2 in fewer"):
+        api.plan_trials(suite, run=run, write_suite=file)
+    assert not file.exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        ({"digest": "dd" * 32}, UsageError, "limits of trot and none of trot, whose results"),
+        ({"protocol": "neverwhere-2026"}, IncomparableError, "its protocol is neverwhere-2026"),
+    ],
+)
+def test_limits_that_do_not_belong_to_the_results_are_refused(
+    suite, run, tmp_path, changes, error, message
+):
+    with pytest.raises(error, match=message):
+        api.plan_trials(suite, run=run, limits=[climb(tmp_path, **changes)])

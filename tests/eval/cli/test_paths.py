@@ -84,6 +84,8 @@ FOLDERS = {
 """What writes a folder."""
 
 UNTRIED = {
+    "plan write_suite": "needs limits: tests/eval/api/test_trial_plans.py; it uses `atomic_path`",
+    "limits write_suite": "needs limits: tests/eval/api/test_limits.py; it uses `atomic_path`",
     "replay rrd": "needs the extra `rerun`; viewing/recording/content.py uses `atomic_path`",
 }
 
@@ -102,6 +104,7 @@ READ = {
     "plan suite": "plan {in}.yaml",
     "plan run": "plan {suite} --run {in}",
     "plan baseline": "plan {suite} --baseline {in}.parquet",
+    "plan limits": "plan {suite} --run {run} --detect 0.9 --limits {in}",
     "plan policy": "plan {suite} --shards 2 --policy {in}.yaml",
     "baseline save suite": "baseline save {in}.yaml",
     "baseline save policy": "baseline save {suite} --policy {in}.yaml",
