@@ -51,6 +51,15 @@ def test_the_verdict_comes_first_with_what_it_rests_on(make_page, read, rows):
     assert drawing.attributes["aria-label"].startswith("Mean success is 0.800, for new ")
 
 
+def test_the_next_step_follows_the_verdict_and_what_it_leads_to_is_there(make_page, read, make_row):
+    good, bad = ([make_row("hurdles/low", k, to) for k in range(60)] for to in (4, 0))
+    passed, failed = (read(make_page(rows)) for rows in (good, bad))
+    assert [page.one("h1").text.split()[0] for page in (passed, failed)] == ["PASS", "REGRESSED"]
+    assert passed.one("p", class_="next").text.startswith("Next: nothing is left to do.")
+    (link,) = failed.one("p", class_="next").all("a")
+    assert failed.one("section", id=link.attributes["href"].removeprefix("#"))
+
+
 def test_a_reader_without_eyes_finds_a_way_through(make_page, read, rows, full_evidence):
     page = read(make_page(rows, full_evidence(rows)))
     ids = [each.attributes["id"] for each in page.all() if "id" in each.attributes]
