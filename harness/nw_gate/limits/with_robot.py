@@ -139,10 +139,10 @@ def _robots(each: MeasuredLimit) -> float:
     return sum(known) / len(known)
 
 
-def _scaled(each: MeasuredLimit, value: float | Floats) -> float | Floats:
+def _scaled(each: MeasuredLimit, value: float | Floats) -> Floats:
     """Return a value on its ladder, from 0 for the easiest rung to 1 for the hardest."""
     rungs = each.simulated.ladder.rungs
-    return np.clip((value - rungs[0]) / (rungs[-1] - rungs[0]), 0.0, 1.0)
+    return np.clip((np.asarray(value) - rungs[0]) / (rungs[-1] - rungs[0]), 0.0, 1.0)
 
 
 def _shown(

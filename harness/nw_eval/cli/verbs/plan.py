@@ -263,7 +263,9 @@ def _item_lines(planned: TrialPlan) -> list[str]:
         lines += [f"and {plural(more, 'scene')} more, in --json"] if more > 0 else []
     never = [each for each in planned.items if not each.tells]
     if never:
-        lines.append(f"tell nothing in {planned.outset.budget} trials of such a policy: {_names(never)}")
+        lines.append(
+            f"tell nothing in {planned.outset.budget} trials of such a policy: {_names(never)}"
+        )
     if planned.ladders:
         policy = planned.policy or "POLICY"
         ladders = " ".join(planned.ladders)
