@@ -67,7 +67,10 @@ def agreement_of_limits(measured: Sequence[MeasuredLimit], confidence: float = 0
     points = {id(each): (_robots(each), _simulated(each.simulated)) for each in measured}
     groups = [[each for each in measured if each.policy == name] for name in names]
     real, simulated = (
-        np.array([np.mean([_scaled(x, points[id(x)][side]) for x in group]) for group in groups])
+        np.array(
+            [np.mean([_scaled(x, points[id(x)][side]) for x in group]) for group in groups],
+            np.float64,
+        )
         for side in (0, 1)
     )
 
