@@ -178,7 +178,7 @@ MOST = {
     ),
 }
 """What each package holds. A change that needs more says here what for, in the same commit."""
-TESTS = 112300
+TESTS = 112320
 """Lines of all tests."""
 GROWTH = 1.02
 

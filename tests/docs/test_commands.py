@@ -208,6 +208,16 @@ NOT_RUN = MappingProxyType(
         ),
         "nw-eval run corridor/suite.yaml": "of that place; test_label_browser.py runs one by night",
         "nw-eval train student student-rgb": "hours",
+        (
+            "nw-eval limits hurdles/bar hurdles/block hurdles/clearance -p go1-parkour "
+            "--out reports/limits"
+        ): "minutes",
+        "nw-eval plan hurdles-state --limits reports/limits --write-suite hurdles-sharp.yaml": (
+            "the folder is there after minutes; tests/eval/api/test_trial_plans.py has a small one"
+        ),
+        "nw-eval sim2real limits.csv reports/limits": (
+            "the same; tests/eval/api/test_agreements.py has a small one"
+        ),
         "nw-eval train student student-rgb-further": "an hour",
         "nw-eval train student student-rgb-ray": "an hour",
         "nw-eval train student student-rgb-ray-further": "an hour",

@@ -53,12 +53,11 @@ def read_real_results(path: Path, spec: ScoreSpec | None = None) -> tuple[RealRe
     """
     columns = (*_NAMED, "success" if spec is None else spec.name)
     fix = f"write a heading `{','.join(columns)}` and a line for each policy and scene"
-    return _read(
-        path,
-        lambda _: columns,
-        fix,
-        lambda cells, place, before: _result(cells, place, before, spec),
-    )
+
+    def parsed(cells: Sequence[str], place: str, before: list[RealResult]) -> RealResult:
+        return _result(cells, place, before, spec)
+
+    return _read(path, lambda _: columns, fix, parsed)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -254,15 +254,18 @@ def _item_lines(planned: TrialPlan) -> list[str]:
         for each in telling[:_MOST_ITEMS]
     ]
     lines = [
-        f"Success of the baseline and of a policy {worse}, and the fewest trials in which any test",
-        f"could tell them apart by this scene alone ({_wrong(planned)}):",
+        f"Success of the baseline and of a policy {worse} that loses most where the baseline fails",
+        "sometimes, and the fewest trials in which any test could tell them apart by this scene",
+        f"alone ({_wrong(planned)}):",
         *aligned(rows, right=(1, 2, 3)),
     ]
     if more := len(telling) - _MOST_ITEMS:
         lines += [f"and {plural(more, 'scene')} more, in --json"] if more > 0 else []
     never = [each for each in planned.items if not each.tells]
     if never:
-        lines.append(f"tell nothing in {planned.outset.budget} trials: {_names(never)}")
+        lines.append(
+            f"tell nothing in {planned.outset.budget} trials of such a policy: {_names(never)}"
+        )
     if planned.ladders:
         policy = planned.policy or "POLICY"
         ladders = " ".join(planned.ladders)
