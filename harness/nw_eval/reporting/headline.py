@@ -6,11 +6,13 @@ can tell, and what a comparison with a baseline can.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from nw_base.plural import plural
 from nw_base.protocol import PROTOCOLS, STRICT
 from nw_gate.baseline.power_forecast import in_a_sentence
 from nw_gate.results.provenance import RunInfo
-from nw_gate.verdict import Comparison, Verdict
+from nw_gate.verdict import Comparison, Verdict, Word
 
 
 def headline(verdict: Verdict, run: RunInfo) -> str:
@@ -56,6 +58,23 @@ def headline_parts(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
     cost = _duration(run.wall_s) if run.finished else "not finished"
     parts.append(f"{cost} on {plural(run.workers, 'worker')}")
     return tuple(parts)
+
+
+def next_step(verdict: Verdict, run: RunInfo) -> str:
+    """Return what a reader may do next; nothing where the reasons say it."""
+    if run.is_search:
+        return ""
+    if run.is_part:
+        return "put all parts together with `nw-eval merge RUN... --out FOLDER`"
+    return _NEXT.get(verdict.verdict, "")
+
+
+_NEXT: Mapping[Word, str] = {
+    "PASS": "`nw-eval baseline save` makes this policy the baseline of later runs",
+    "RAN": "set `gate.success_rate` in the suite to get a verdict",
+    "INCONCLUSIVE": "run more trials with `nw-eval run --resume RUN --trials N`",
+    "INFRASTRUCTURE": "run the missing trials with `nw-eval run --resume RUN`",
+}
 
 
 def blind_spot(verdict: Verdict, run: RunInfo) -> str:

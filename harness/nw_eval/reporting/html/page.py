@@ -21,6 +21,7 @@ from nw_eval.reporting.headline import (
     flagged_by,
     headline_parts,
     how_sure,
+    next_step,
     stopped_early,
 )
 from nw_eval.reporting.html.drawn import Timeline, course, gauges, plan_views, timeline
@@ -91,6 +92,7 @@ def render_html(
         word=word,
         by=flagged_by(verdict),
         parts=parts,
+        next_step=next_step(verdict, run),
         blind_spot=blind_spot(verdict, run),
         reasons=verdict.reasons,
         stopped=stopped_early(run),
