@@ -105,6 +105,7 @@ class LimitSearch(TrialPath):
                 share=self.share,
                 confidence=self._confidence,
                 width=self._width,
+                most=self._most,
             )
             return int(search.next(wealth, beliefs)[0])
         return self._check_next(wealth)

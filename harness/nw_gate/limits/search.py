@@ -5,6 +5,9 @@ less, are made. What a claim still costs is the missing logarithm of its wealth 
 of a trial there. The search aims at the pair that costs least, not at the one next to the limit: a
 rung whose rate is near the share would take all trials. Of the pair it tries the rung whose rate is
 nearer to the share, since its result changes the aim most.
+
+Where no pair of that width can be had for the trials that are left, it aims at the narrowest wider
+pair that can. So a search that stays undecided has bounds that are as near as its trials allow.
 """
 
 from __future__ import annotations
@@ -33,6 +36,8 @@ class Search:
     share: float
     confidence: float
     width: int
+    most: int
+    """Trials of a ladder, at most."""
 
     def beliefs(self, wealth: Wealth) -> Beliefs:
         """Return what is expected after the trials so far."""
@@ -46,7 +51,8 @@ class Search:
     def next(self, wealth: Wealth, beliefs: Beliefs) -> Ints:
         """Return the rung to try next, of each ladder."""
         ladders, rungs = wealth.done.shape
-        low, high = (bound[:, None] for bound in wealth.bounds(self.confidence))
+        bounds = wealth.bounds(self.confidence)
+        low, high = (bound[:, None] for bound in bounds)
         i, every = np.arange(rungs), np.arange(ladders)
         gain_cleared, gain_failed = gains(beliefs, self.share)
         needed = -log(1.0 - self.confidence)
@@ -57,21 +63,46 @@ class Search:
         cost_high = np.where(
             i >= high, 0.0, np.maximum(needed - have[:, ::-1], _LEAST_MISSING) / gain_failed
         )
-        # Pair k is (k - 1, k - 1 + width); what lies off the ladder costs nothing.
-        a = np.arange(-1, rungs)
-        b = np.minimum(a + self.width, rungs)
         zero = np.zeros((ladders, 1))
-        both = np.hstack([zero, cost_low]) + np.hstack([cost_high, zero])[:, np.maximum(b, 0)]
+        costs = np.hstack([zero, cost_low]), np.hstack([cost_high, zero])
         middle = (np.cumsum(beliefs.cleared, axis=1) < 0.5).sum(axis=1)[:, None] - 0.5
-        both += _CENTRE * np.abs(a + self.width / 2.0 - middle)
-        pair = np.argmin(np.where((a >= low) & (b >= 0), np.round(both, 6), _NEVER), axis=1)
-        a, b = a[pair], b[pair]
+        a, b, cost = _cheapest_pair(costs, low, middle, self.width)
+        left = self.most - (wealth.done + wealth.missed).sum(axis=1)
+        # What is claimed already is no aim: pairs are narrower than the bounds so far.
+        for wider in range(self.width + 1, rungs + 1):
+            rows = np.flatnonzero((cost > left) & (wider < bounds[1] - bounds[0]))
+            if not len(rows):
+                break
+            those = costs[0][rows], costs[1][rows]
+            a[rows], b[rows], cost[rows] = _cheapest_pair(those, low[rows], middle[rows], wider)
         easy, hard = np.clip(a, 0, rungs - 1), np.clip(b, 0, rungs - 1)
         near = np.abs(beliefs.rate[every, easy] - self.share) <= np.abs(
             beliefs.rate[every, hard] - self.share
         )
         free_low, free_high = a <= low[:, 0], b >= high[:, 0]
         return np.where(free_low | (~free_high & ~near), hard, easy)
+
+
+def _cheapest_pair(
+    costs: tuple[Array, Array], low: Ints, middle: Array, width: int
+) -> tuple[Ints, Ints, Array]:
+    """Return the pair of claims `width` rungs apart that costs least, and its cost, all (B,).
+
+    Args:
+        costs: of each claim "cleared", and of each "not cleared"; what lies off the ladder costs
+            nothing. Both (B, n + 1): from rung -1, and up to rung n.
+        low: the hardest rung that is claimed to be cleared, (B, 1).
+        middle: of the posterior, (B, 1).
+        width: in rungs.
+    """
+    count = costs[0].shape[1]
+    a = np.arange(-1, count - 1)
+    b = np.minimum(a + width, count - 1)
+    both = costs[0] + costs[1][:, np.maximum(b, 0)]
+    both = both + _CENTRE * np.abs(a + width / 2.0 - middle)
+    both = np.where((a >= low) & (b >= 0), np.round(both, 6), _NEVER)
+    pair = np.argmin(both, axis=1)
+    return a[pair], b[pair], both[np.arange(len(both)), pair]
 
 
 def gains(beliefs: Beliefs, share: float) -> tuple[Array, Array]:

@@ -27,7 +27,7 @@ from nw_gate.limits.monotone import find_dip
 from nw_gate.limits.search import Search
 from nw_gate.limits.wealth import Wealth
 
-LADDERS, STRICT, CHECKED, GATES, MOST = 10_000, 2_000, 100, 500, 120
+LADDERS, STRICT, CHECKED, GATES, MOST = 10_000, 2_000, 100, 300, 120
 _AT_ONCE, _LOOKED_AT = 100, 500
 TABLE = Path(__file__).with_name("limit_cells.csv")
 GATE_TABLE = Path(__file__).with_name("limit_gate_cells.csv")
@@ -186,7 +186,7 @@ def _searched(cell: LadderCell, rng: np.random.Generator, count: int) -> Iterato
     """
     rates = np.array(SHAPES[cell.shape], float)
     curves = Curves.over(len(rates), cell.share)
-    search = Search(curves=curves, share=cell.share, confidence=0.95, width=cell.width)
+    search = Search(curves=curves, share=cell.share, confidence=0.95, width=cell.width, most=MOST)
     wealth, size = Wealth.at_start(1, len(rates)), np.array([count])
     for trials in range(MOST + 1):
         ended = search.ended(wealth) | (trials == MOST)

@@ -11,7 +11,7 @@ from nw_gate.limits.wealth import Wealth, growth
 def exact(rates, share, trials, alpha, width=1):
     """Return the probabilities of a false lower and a false upper bound: every result is summed."""
     curves = Curves.over(len(rates), share)
-    search = Search(curves=curves, share=share, confidence=1 - alpha, width=width)
+    search = Search(curves=curves, share=share, confidence=1 - alpha, width=width, most=120)
     wealth, chance, wrong = Wealth.at_start(1, len(rates)), np.ones(1), np.zeros(2)
     limit = max((i for i, rate in enumerate(rates) if rate >= share), default=-1)
     for trial in range(trials + 1):
