@@ -542,7 +542,7 @@ class _Watch:
             StoreError: one cannot be written.
         """
         from nw_base.files.cache import atomic_path
-        from nw_eval.reporting.html.runs import render_training
+        from nw_eval.reporting.html.training import render_training
 
         ordered, best = list(self._ordered()), self._best()
         with atomic_path(self.folder / _STATE) as temporary:
