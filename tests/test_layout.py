@@ -132,13 +132,13 @@ MOST = {
         ),
     ),
     "nw_eval": Figures(
-        35020,  # Suites that tell policies apart; limits of robots; limits; JSON of more verbs.
+        36200,  # Limits: in the gate, of robots, in pages; suites that tell policies apart.
         160,  # Limits; ladders and their rungs.
         ("nw_learn", "nw_twin"),
     ),
     "nw_gate": Figures(
-        19390,  # Suites that tell policies apart; limits of ladders; bets made from the baseline.
-        17,
+        19500,  # Suites that tell policies apart; limits of ladders; bets made from the baseline.
+        16,
         ("nw_eval", "nw_learn", "nw_sim", "nw_twin"),
     ),
     "nw_learn": Figures(
@@ -178,7 +178,7 @@ MOST = {
     ),
 }
 """What each package holds. A change that needs more says here what for, in the same commit."""
-TESTS = 112320
+TESTS = 112600
 """Lines of all tests."""
 GROWTH = 1.02
 
