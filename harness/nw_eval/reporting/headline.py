@@ -253,9 +253,8 @@ _FRESH = (
     "chose the checkpoint by these initial states, or the initial states for it."
 )
 _CHANCES = (
-    "The chances that more trials decide come from simulated trials, in which every part of "
-    "a trial (a waypoint of a course) is done with one chance; what that is, beyond what was seen, "
-    "is left open."
+    "The chances that more trials decide are simulated. Each waypoint is reached with the same "
+    "chance, and that chance is drawn from the values that the trials so far allow."
 )
 _SAME_OFFSETS = (
     "The protocol {protocol} gives trial number i the same offset of its initial state in every "

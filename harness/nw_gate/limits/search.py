@@ -25,6 +25,7 @@ _CERTAIN = 0.98
 _LEAST_GAIN = 1e-4
 _LEAST_MISSING = 0.2
 _CENTRE = 0.3  # trials that a pair costs more for each rung from the middle of the posterior
+_HOPELESS = 2.0  # Costs are estimates: a pair is given up if it costs so many times what is left.
 _NEVER = 1e12
 
 
@@ -70,7 +71,7 @@ class Search:
         left = self.most - (wealth.done + wealth.missed).sum(axis=1)
         # What is claimed already is no aim: pairs are narrower than the bounds so far.
         for wider in range(self.width + 1, rungs + 1):
-            rows = np.flatnonzero((cost > left) & (wider < bounds[1] - bounds[0]))
+            rows = np.flatnonzero((cost > _HOPELESS * left) & (wider < bounds[1] - bounds[0]))
             if not len(rows):
                 break
             those = costs[0][rows], costs[1][rows]
