@@ -110,3 +110,18 @@ def test_a_damaged_limit_is_refused(damage):
         Limit.from_dict(saved | damage)
     with pytest.raises(StoreError, match="saved limit"):
         Limit.from_dict({name: value for name, value in saved.items() if name not in damage})
+
+
+def test_a_search_that_cannot_reach_its_width_still_bounds_the_limit():
+    """Where a policy completes about half of its trials on several rungs, two rungs are too near."""
+    rates = [1.0] * 8 + [0.85, 0.62, 0.52, 0.5, 0.48, 0.12]
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        found = find_limit(
+            Ladder(name="gap", rungs=tuple(range(len(rates)))),
+            lambda trial, rng=rng: bool(rng.random() < rates[trial.rung]),
+        )
+        low, high = found.ends
+        assert 6 <= low <= 11
+        assert high == 13
+        assert not found.decided
