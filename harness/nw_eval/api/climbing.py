@@ -77,8 +77,9 @@ def limits(
     least `share` of its trials there.
 
     Args:
-        ladders: names or globs of ladders, such as `hurdles/bar` or `hurdles/three_low+payload`, or
-            folders with a ladder.yaml (default: all built-in ladders of scenes).
+        ladders: names or globs of ladders, such as `hurdles/bar` or `hurdles/three_low+payload`,
+            folders with a ladder.yaml, or suites whose gate judges ladders (default: all built-in
+            ladders of scenes).
         policy: a shipped policy's name, a policy folder, a card, or hub:org/name[@revision].
         baseline: another policy, which meets the same trials and stands beside it.
         robot: a robot's name, its folder, hub:org/name[@revision] or menagerie:NAME (default: the
@@ -251,16 +252,23 @@ def _families(names: Sequence[str]) -> list[SceneLadder]:
     """Return the ladders that are meant; the built-in ones where none is named.
 
     Raises:
-        UsageError: a name or glob means one of commands.
+        UsageError: a name or glob means one of commands, or a suite names no ladder.
+        SuiteError: a suite cannot be read.
         SceneError: there is no such ladder, or a folder's cannot be read.
     """
     from fnmatch import fnmatchcase
+
+    from nw_base.files.shipped import available
 
     from nw_sim.ladders import ladder_named, ladders
 
     known = ladders()
     found: list[SceneLadder] = []
+    suites = available("suites")
     for name in names:
+        if name in suites or name.endswith((".yaml", ".yml")):
+            found += _families_of_suite(name)
+            continue
         matching = [each for each in known if fnmatchcase(each.name, name)]
         # A glob means what can be climbed of what it matches.
         climbable = [each for each in matching if not each.rungs[0].command]
@@ -274,6 +282,24 @@ def _families(names: Sequence[str]) -> list[SceneLadder]:
                 fix="leave it out; a suite with the task `velocity` evaluates commands",
             )
     return list({each.name: each for each in found}.values())
+
+
+def _families_of_suite(name: str) -> list[SceneLadder]:
+    """Return the ladders that the gate of a suite judges.
+
+    Raises:
+        UsageError, SuiteError, SceneError: as `_families`.
+    """
+    from nw_eval.suite import load_suite
+    from nw_sim.ladders import ladder_named
+
+    suite = load_suite(name)
+    if not suite.gate.limits:
+        raise UsageError(
+            f"the gate of suite {name} names no ladder",
+            fix="name ladders, or add `gate.limits` to the suite",
+        )
+    return [ladder_named(each, suite.base) for each in suite.gate.limits]
 
 
 def _search(

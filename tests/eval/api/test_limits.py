@@ -216,6 +216,20 @@ def main_ends(*words):
     return left.value.code
 
 
+def test_a_suite_means_the_ladders_that_its_gate_judges(tmp_path):
+    suite = tmp_path / "steps.yaml"
+    text = (
+        "nw-eval: 1\nname: steps\nrobot: go1\npolicy: stand\ntrials: 1\nseed: 7\n"
+        "scenes: [flat/carpet_room]\n"
+    )
+    suite.write_text(text + "gate: {limits: {stairs/down: {at_least: 0.1}}}\n")
+    found = api.limits([str(suite)], policy="stand", out=tmp_path / "new", films=False, trials=2)
+    assert [each.ladder for each in found.limits] == ["stairs/down"]
+    suite.write_text(text)
+    with pytest.raises(UsageError, match=r"steps\.yaml names no ladder"):
+        api.limits([str(suite)], policy="stand")
+
+
 def test_rungs_of_a_perturbation_are_climbed_in_one_scene(tmp_path):
     found = api.limits(
         ["hurdles/one_low_carpet+strength"], policy="stand", out=tmp_path / "new", trials=4

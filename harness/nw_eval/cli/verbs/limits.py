@@ -27,7 +27,7 @@ class Limits:
     """
 
     ladders: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
-    """Names or globs of ladders, such as hurdles/bar (default: all)."""
+    """Names or globs of ladders, such as hurdles/bar, or suites with gate.limits (default: all)."""
     policy: Annotated[str, tyro.conf.arg(aliases=["-p"])]
     """A shipped policy's name, a policy folder, a card, or hub:org/name[@revision]."""
     baseline: str | None = None
