@@ -259,7 +259,6 @@ def _families(names: Sequence[str]) -> list[SceneLadder]:
     from fnmatch import fnmatchcase
 
     from nw_base.files.shipped import available
-
     from nw_sim.ladders import ladder_named, ladders
 
     known = ladders()

@@ -113,7 +113,7 @@ def test_a_damaged_limit_is_refused(damage):
 
 
 def test_a_search_that_cannot_reach_its_width_still_bounds_the_limit():
-    """Where a policy completes about half of its trials on several rungs, two rungs are too near."""
+    """A policy that completes half of its trials on several rungs has no two bounds so near."""
     rates = [1.0] * 8 + [0.85, 0.62, 0.52, 0.5, 0.48, 0.12]
     for seed in range(5):
         rng = np.random.default_rng(seed)
