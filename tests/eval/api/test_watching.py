@@ -97,7 +97,11 @@ def test_the_latest_comes_first_and_each_is_gated_against_the_best_before_it(tra
     assert found.best == two
     # That of the newest: nothing was there yet that it could have been worse than.
     assert found.exit_code == 0
-    rows = [{**asdict(each), "scores": list(each.scores.items())} for each in (two, seven, ten)]
+    maps = ("scores", "limits")
+    rows = [
+        {**asdict(each), **{name: list(getattr(each, name).items()) for name in maps}}
+        for each in (two, seven, ten)
+    ]
     assert two.scores["mean_power"] > 50.0
     assert ten.scores.keys() == {"mean_power"}
     assert seven.scores == {}
