@@ -207,7 +207,7 @@ def _rolled(planned: Plan, out: Path, how: How) -> Sequence[Row]:
     from nw_eval.api.reports import judge
     from nw_eval.api.runs import roll_out
 
-    done = roll_out(planned, how, out=out / "run", ladders="none")
+    done = roll_out(planned, how, out=out / "run", ladders=False)
     report = judge(done.path, baseline="none")
     if report.interrupted:
         raise UsageError(

@@ -23,12 +23,10 @@ from nw_eval.api.limit_gates import (
     holds_here,
     is_of,
     ladder_folders,
-    limit_gate,
-    limit_search,
+    limit_path,
     rules_digest,
 )
 from nw_eval.suite.ladders import gated_ladder
-from nw_gate.limits.find import LimitSearch
 from nw_gate.limits.limit import Limit
 from nw_gate.results.baseline import SavedLimit, machine_of
 from nw_gate.results.provenance import read_run_info, write_run_info
@@ -44,7 +42,14 @@ if TYPE_CHECKING:
     from nw_sim.ladders import Ladder as SceneLadder
 
 
-def climb_limits(plan: Plan, folder: RunFolder, how: How, *, search: bool = False) -> None:
+def climb_limits(
+    plan: Plan,
+    folder: RunFolder,
+    how: How,
+    *,
+    searched: bool = False,
+    against: LoadedBaseline | None = None,
+) -> None:
     """Run what the ladders of a suite's gate need, after the trials of its scenes.
 
     Of a run in parts the first part does. Where the run is INVALID or INFRASTRUCTURE, nothing runs.
@@ -54,7 +59,8 @@ def climb_limits(plan: Plan, folder: RunFolder, how: How, *, search: bool = Fals
         plan: of the run.
         folder: of the run, whose trials have ended.
         how: how it is run.
-        search: whether the policy's limit is searched for its own sake, whatever the gate needs.
+        searched: whether the policy's limit is searched for its own sake, too.
+        against: a baseline from other initial states in place of the run's; None = the run's.
 
     Raises:
         SceneError, PolicyError, IncomparableError, StoreError: as `api.run`.
@@ -65,7 +71,7 @@ def climb_limits(plan: Plan, folder: RunFolder, how: How, *, search: bool = Fals
     run, began = read_run_info(folder.run_json), perf_counter()
     if run.interrupted or not plan.suite.gate.limits:
         return
-    if search:
+    if searched:
         names = asked_ladders(plan.suite, run)
     elif run.is_part:
         names = (
@@ -76,12 +82,9 @@ def climb_limits(plan: Plan, folder: RunFolder, how: How, *, search: bool = Fals
     else:
         limits = as_begun(folder.path).verdict.limits
         names = tuple(item.ladder for item in limits if item.word == "INFRASTRUCTURE")
-    against = kept_baseline(folder, run) if names else None
+    against = against or (kept_baseline(folder, run) if names else None)
     for name in names:
-        if search:
-            interrupted = _climb_searched(plan, folder, name, how)
-        else:
-            interrupted = _climb_gated(plan, folder, run, name, against, how)
+        interrupted = _climb_gated(plan, folder, run, name, against, how, searched=searched)
         wall = run.wall_s + perf_counter() - began
         update = {"wall_s": wall, "interrupted": interrupted}
         write_run_info(folder.run_json, run.model_copy(update=update))
@@ -156,6 +159,8 @@ def _climb_gated(
     name: str,
     against: LoadedBaseline | None,
     how: How,
+    *,
+    searched: bool,
 ) -> bool:
     """Run what one ladder needs; return whether a signal came first."""
     from nw_sim.ladders import ladder_named
@@ -172,26 +177,17 @@ def _climb_gated(
             and holds_here(saved, run)
         ):
             baseline = Limit.from_dict(saved.limit)
-        else:
+        elif not searched:
             baseline = _measured(plan, run, family, asked, against, at, how)
-    gate = limit_gate(asked, plan.suite.gate, gated_ladder(family), baseline)
-    if gate is None or (compares(asked, run, against) and baseline is None):
-        return baseline is None and gate is not None
-    first = 0 if baseline is None else max(baseline.tried)
+            if baseline is None:
+                return True
+    path = limit_path(asked, plan.suite.gate, gated_ladder(family), baseline, searched=searched)
+    if path is None:
+        return False
+    first = 0 if baseline is None or searched else max(baseline.tried)
     own = ladder_plan_of_run(family, plan, first + asked.trials)
     how.told.message(f"ladder {name}: at most {asked.trials} trials")
-    return _climbed(own, family, gate, how, at / "candidate")
-
-
-def _climb_searched(plan: Plan, folder: RunFolder, name: str, how: How) -> bool:
-    """Search for the policy's limit on one ladder; return whether a signal came first."""
-    from nw_sim.ladders import ladder_named
-
-    family, asked = ladder_named(name, plan.suite.base), plan.suite.gate.limits[name]
-    path = limit_search(asked, plan.suite.gate, gated_ladder(family))
-    own = ladder_plan_of_run(family, plan, asked.trials)
-    at = ladder_folders(folder, plan.suite.gate)[name]
-    return _climbed(own, family, path, how, at / "candidate")
+    return _climbed(own, family, path, how, at / "candidate", searched=searched)
 
 
 def _measured(
@@ -220,13 +216,21 @@ def _measured(
     return search.limit
 
 
-def _climbed(plan: Plan, family: SceneLadder, path: TrialPath, how: How, out: Path) -> bool:
+def _climbed(
+    plan: Plan,
+    family: SceneLadder,
+    path: TrialPath,
+    how: How,
+    out: Path,
+    *,
+    searched: bool = False,
+) -> bool:
     """Climb a ladder, and leave beside the run what its rungs are."""
     ladder = {
         "nw-climb": 1,
         "ladder": family.name,
         "title": title_of(family),
-        "searched": isinstance(path, LimitSearch),
+        "searched": searched,
         "unit": family.unit,
         "rungs": [rung.value for rung in family.rungs],
         "cells": [[scene, dict(cell)] for scene, cell in rung_cells(plan, family)],

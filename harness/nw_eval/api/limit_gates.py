@@ -8,14 +8,14 @@ judged follows from their rows alone: the same path of trials is followed again.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nw_base.clean import clean
-from nw_base.errors import StoreError, UsageError
+from nw_base.errors import NwEvalError, StoreError, UsageError
 from nw_base.files.inside import what_is
 from nw_eval.api.ladder_runs import (
     folder_names,
@@ -161,6 +161,8 @@ class _Climbed:
     """A run on a ladder: what its rungs are, and which trials have results."""
 
     ladder: Ladder
+    cells: Sequence[Stratum]
+    """Where the trials of each rung run."""
     title: str
     run: RunInfo
     results: Mapping[LimitTrial, bool]
@@ -183,11 +185,11 @@ def _read(at: Path, *, mend: bool) -> _Climbed | None:
     run = read_run_info(folder.run_json)
     try:
         if file.stat().st_size > _MOST_BYTES:
-            raise ValueError("it is too large")  # noqa: TRY301  # As what cannot be parsed.
+            raise ValueError("it is too large")  # As what cannot be parsed.
         said: dict[str, Any] = json.loads(file.read_bytes())
         ladder, cells = _rungs(said)
         title, searched = clean(str(said["title"]), at_most=200), said["searched"] is True
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, UsageError) as error:
+    except _DAMAGED as error:
         raise StoreError(f"{file} is damaged: {error}", fix="run again or restore it") from None
     rungs = {cell: number for number, cell in enumerate(cells)}
     rows = read_trials(folder, run, saved_trials(run, saved_suite(run)), mend=mend).rows
@@ -196,7 +198,16 @@ def _read(at: Path, *, mend: bool) -> _Climbed | None:
         for row in rows
         if row.status == "ok" and (row.scene, row.perturbation) in rungs
     }
-    return _Climbed(ladder=ladder, title=title, run=run, results=results, searched=searched)
+    return _Climbed(
+        ladder=ladder, cells=cells, title=title, run=run, results=results, searched=searched
+    )
+
+
+_DAMAGED = (
+    *(OSError, ValueError, TypeError, KeyError, AttributeError),
+    *(OverflowError, RecursionError, UsageError),
+)
+"""What reading a file raises that is none of ours."""
 
 
 def _rungs(said: Mapping[str, Any]) -> tuple[Ladder, list[Stratum]]:
@@ -228,22 +239,31 @@ def compares(asked: LadderGate, run: RunInfo, against: LoadedBaseline | None) ->
     return not is_baseline(run.policy, against.results)
 
 
-def limit_gate(
-    asked: LadderGate, gate: Gate, ladder: Ladder, baseline: Limit | None
-) -> LimitGate | None:
-    """Return what asks for trials and judges them; None where nothing is to be shown."""
+def limit_path(
+    asked: LadderGate, gate: Gate, ladder: Ladder, baseline: Limit | None, *, searched: bool
+) -> TrialPath | None:
+    """Return what asks for a candidate's trials; None where nothing is to be shown.
+
+    Args:
+        asked: of its limit.
+        gate: of the suite.
+        ladder: that is climbed.
+        baseline: limit to compare with; None = none.
+        searched: whether its limit is searched for its own sake, too, as `watch` does it.
+    """
     if baseline is None and asked.at_least is None:
-        return None
-    margins = _margins(asked, gate, drops=baseline is not None)
+        if not searched:
+            return None
+        return LimitSearch(
+            ladder, share=asked.share, confidence=gate.confidence, width=_WIDTH, most=asked.trials
+        )
     return LimitGate(
-        margins, baseline=baseline, ladder=ladder, share=asked.share, most=asked.trials
-    )
-
-
-def limit_search(asked: LadderGate, gate: Gate, ladder: Ladder) -> LimitSearch:
-    """Return the search for a policy's limit for its own sake, as `watch` does it."""
-    return LimitSearch(
-        ladder, share=asked.share, confidence=gate.confidence, width=_WIDTH, most=asked.trials
+        _margins(asked, gate, drops=baseline is not None),
+        baseline=baseline,
+        ladder=ladder,
+        share=asked.share,
+        most=asked.trials,
+        width=_WIDTH if searched else None,
     )
 
 
@@ -291,6 +311,7 @@ def _finding(
 
 
 _UNJUDGED = "max_drop is not judged without a baseline"
+_OWN = "the policy is the baseline's own, so that nothing can have dropped"
 
 
 def _unclimbed(
@@ -325,15 +346,15 @@ def _shown(
 ) -> tuple[Word | None, str, Limit | None, Limit | None]:
     """Return word, sentence and the limits of candidate and baseline on a ladder with trials."""
     asked, baseline = suite.gate.limits[name], None
+    if fault := _fault_of(own, info, suite):
+        raise StoreError(f"{at / 'candidate'} is not of this run: {fault}", fix="run again")
     if compares(asked, info, against):
         assert against is not None, "there is something to compare with"
         baseline = _baseline_limit(name, suite, at, own, info, against, mend=mend)
         if baseline is None:
             why = "the baseline has no limit that holds here; run again"
             return "INFRASTRUCTURE", why, None, None
-    path: TrialPath | None = limit_search(asked, suite.gate, own.ladder)
-    if not own.searched:
-        path = limit_gate(asked, suite.gate, own.ladder, baseline)
+    path = limit_path(asked, suite.gate, own.ladder, baseline, searched=own.searched)
     if path is None:
         return None, _UNJUDGED, None, None
     whole, limit = path.follow(own.results), path.limit
@@ -347,7 +368,36 @@ def _shown(
         return None, _UNJUDGED, limit, baseline
     margins = _margins(asked, suite.gate, drops=baseline is not None)
     shown = judge_limit(limit, margins, baseline)
-    return shown.word, shown.sentence.removeprefix(f"{name}: "), limit, baseline
+    sentence = shown.sentence.removeprefix(f"{name}: ").rstrip(".")
+    if asked.max_drop is not None and baseline is None:
+        sentence += f"; {_UNJUDGED if against is None else _OWN}"
+    return shown.word, sentence, limit, baseline
+
+
+def _fault_of(own: _Climbed, info: RunInfo, suite: Suite) -> str:
+    """Return what of a run on a ladder is not as of the run that it lies in; empty if nothing."""
+    from nw_eval.api.saved_run import saved_suite
+    from nw_sim.ladders import ladder_named
+
+    theirs, ours = own.run.policy, info.policy
+    if (theirs.checkpoint_digest, theirs.card_digest) != (
+        ours.checkpoint_digest,
+        ours.card_digest,
+    ):
+        return f"its policy is {theirs.name} ({theirs.short_digest})"
+    rules = saved_suite(own.run)
+    for rule in ("robot", "protocol", "seed", "episode", "render"):
+        if getattr(rules, rule) != getattr(suite, rule):
+            return f"its {rule} is another one"
+    try:
+        known = {rung.scene: rung.value for rung in ladder_named(own.ladder.name, suite.base).rungs}
+    except (NwEvalError, OSError):  # It need not be here for its trials to be judged.
+        return ""
+    if len(known) == len(own.ladder.rungs):
+        for (scene, _), value in zip(own.cells, own.ladder.rungs, strict=True):
+            if known.get(scene, value) != value:
+                return f"{scene} is the rung {known[scene]:g} of {own.ladder.name}, not {value:g}"
+    return ""
 
 
 def _is_begun_with(info: RunInfo, against: LoadedBaseline | None) -> bool:

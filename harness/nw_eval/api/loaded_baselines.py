@@ -47,7 +47,7 @@ def wanted_baseline(request: Request, suite: Suite, *, own_policy: bool) -> Load
         reference = suite.gate.baseline
     if reference is None or reference == NO_BASELINE:
         return None
-    return _opened(find_baseline(reference, suite=suite.name))
+    return opened_baseline(find_baseline(reference, suite=suite.name))
 
 
 def kept_baseline(
@@ -71,7 +71,9 @@ def kept_baseline(
     ]
     for path in places:
         if path.is_file() and (digest := _digest(path.read_bytes())) == info.baseline.sha256:
-            against = (_latest.get((path.name, digest)) or _opened(path)).of_run(info.baseline)
+            against = (_latest.get((path.name, digest)) or opened_baseline(path)).of_run(
+                info.baseline
+            )
             return _with_control(against, folder, info)
     raise IncomparableError(
         f"run {info.id} is compared with baseline {info.baseline.name}, and neither its copy of it "
@@ -195,7 +197,12 @@ def check_rounds(against: LoadedBaseline, rounds: int, suite: Suite, request: Re
         )
 
 
-def _opened(path: Path) -> LoadedBaseline:
+def opened_baseline(path: Path) -> LoadedBaseline:
+    """Return the baseline in a file.
+
+    Raises:
+        UsageError, StoreError, IncomparableError: as `read_baseline`.
+    """
     from nw_gate.results.baseline import LoadedBaseline
     from nw_gate.results.baseline_file import read_baseline
     from nw_gate.results.provenance import BaselineInfo

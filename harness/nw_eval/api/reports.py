@@ -212,6 +212,7 @@ def as_published(run: Path) -> RunReport:
         findings += [
             replace(each, file=f"{at}/{each.file}")
             for each in check_files(nested, own, ids)[0].findings
+            if each.what != "missing" or not each.file.startswith(logs)
         ]
     for each in findings:
         if each.what != "missing" or not each.file.startswith(logs):

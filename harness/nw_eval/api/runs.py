@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from nw_base.errors import UsageError
 from nw_base.files.traceback_file import TracebackIn
@@ -77,7 +77,7 @@ def roll_out(
     *,
     out: Path | None = None,
     resume: Path | None = None,
-    ladders: Literal["judged", "searched", "none"] = "judged",
+    ladders: bool = True,
 ) -> RunFolder:
     """Run what is planned: against a baseline, trial by trial, until bar and baseline are settled.
 
@@ -90,8 +90,7 @@ def roll_out(
         how: how it is run.
         out: the run's folder (default: a new one in `reports/`).
         resume: the folder of an interrupted run.
-        ladders: what of the ladders of its gate is climbed: what the gate needs, the limit of each,
-            or none.
+        ladders: whether the ladders of its gate are climbed.
 
     Raises:
         UsageError: an invalid label.
@@ -127,10 +126,10 @@ def roll_out(
     folder = session.carry_out(
         plan, how, out=out, resume=resume, comparison=comparison, meanwhile=prepare_pages
     )
-    if plan.suite.gate.limits and ladders != "none":
+    if plan.suite.gate.limits and ladders:
         from nw_eval.api.limit_climbs import climb_limits
 
-        climb_limits(plan, folder, how, search=ladders == "searched")
+        climb_limits(plan, folder, how)
     return folder
 
 

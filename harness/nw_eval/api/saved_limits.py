@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nw_base.clean import clean
-from nw_base.errors import StoreError, UsageError
+from nw_base.errors import NwEvalError, StoreError, UsageError
 from nw_base.files.inside import OutsideError, bounded_bytes, inside, what_is
 from nw_eval.reporting.html.limits import LadderLimit
 from nw_gate.limits.limit import Limit
@@ -55,7 +55,7 @@ def read_limits(path: Path) -> tuple[LadderLimit, ...]:
         raise StoreError(f"{file}: {error.message}", fix=_FIX) from None
     except KeyError as error:
         raise StoreError(f"{file} lacks {error}", fix=_FIX) from None
-    except (OSError, ValueError, TypeError, RecursionError, OutsideError) as error:
+    except (OSError, ValueError, TypeError, OverflowError, RecursionError, OutsideError) as error:
         raise StoreError(f"{file} cannot be read: {error}", fix=_FIX) from None
 
 
@@ -99,7 +99,23 @@ def _with_run(each: LadderLimit) -> tuple[LadderLimit, RunReport]:
         raise StoreError(
             f"the limit on {each.ladder} is not of the trials of {each.run.name}", fix=_FIX
         )
+    if fault := _fault_of(each, judged.rows):
+        raise StoreError(f"the limit on {each.ladder} is not of that ladder: {fault}", fix=_FIX)
     return replace(each, policy=judged.info.policy.folder_name), judged
+
+
+def _fault_of(each: LadderLimit, rows: Sequence[Row]) -> str:
+    """Return what of a limit is not as of its ladder, if that is known here; empty if nothing."""
+    from nw_sim.ladders import ladder_named
+
+    try:
+        rungs = ladder_named(each.ladder).rungs
+    except (NwEvalError, OSError):
+        return ""
+    if tuple(rung.value for rung in rungs) != each.limit.ladder.rungs:
+        return "its rungs are others"
+    others = {row.scene for row in rows} - {rung.scene for rung in rungs}
+    return f"its trials are in {min(others)}" if others else ""
 
 
 def _tried(rows: Sequence[Row]) -> Counter[tuple[int, int]]:

@@ -98,7 +98,7 @@ def sweep(
     by_axis: dict[str, list[AxisCurve]] = {}
     interrupted = False
     for name, number, planned in plans:
-        done = roll_out(planned, means, out=folder / name / f"{number}", ladders="none")
+        done = roll_out(planned, means, out=folder / name / f"{number}", ladders=False)
         run = judge(done.path, baseline="none")
         if run.rows:
             curve = curve_of(

@@ -413,6 +413,8 @@ class _Watch:
         None if a signal came while the baseline of the best before it was saved.
         """
         from nw_eval.api.continuing import continued
+        from nw_eval.api.limit_climbs import climb_limits
+        from nw_eval.api.loaded_baselines import opened_baseline
         from nw_eval.api.plans import plan
         from nw_eval.api.reports import as_begun, judge
         from nw_eval.api.runs import judged, roll_out
@@ -427,17 +429,20 @@ class _Watch:
         labels = fitting({"training_run": training, "step": str(step)})
         if not own.allow_code:
             prepare()
+        planned = continued(folder, own) if begun else plan(own)
         ran = roll_out(
-            continued(folder, own) if begun else plan(own),
+            planned,
             replace(self.how, labels=labels),
             out=None if begun else folder,
             resume=folder if begun else None,
-            ladders="searched",
+            ladders=False,
         )
         try:
             baseline = self._baseline()
         except KeyboardInterrupt:  # What it had of the baseline is kept, and so is the run.
             return None
+        against = None if baseline is None else opened_baseline(baseline)
+        climb_limits(planned, ran, self.how, searched=True, against=against)
 
         def against_best(run: Path) -> RunReport:
             found = as_begun(run)

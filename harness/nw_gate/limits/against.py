@@ -45,7 +45,7 @@ from nw_gate.limits.curves import Array, Beliefs
 from nw_gate.limits.ladder import Ladder, check_confidence, check_most, check_share
 from nw_gate.limits.limit import Limit
 from nw_gate.limits.path import TrialPath
-from nw_gate.limits.search import gains
+from nw_gate.limits.search import Search, gains
 from nw_gate.limits.wealth import Wealth
 
 LimitWord = Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
@@ -190,11 +190,17 @@ class Claims:
         """Whether any trials would suffice for REGRESSED: the baseline's are enough for it."""
         return any((each < inf).all() for each in self.regressed)
 
+    def fallen(self, wealth: Wealth) -> tuple[bool, ...]:
+        """Return which of the claims of REGRESSED are shown: of max_drop, of at_least."""
+        return tuple(
+            bool((wealth.most_failed[0] >= each - _ROUNDING).all()) for each in self.regressed
+        )
+
     def word(self, wealth: Wealth) -> LimitWord:
         """Return the verdict so far, of a single ladder."""
         if (wealth.most_cleared[0] >= self.passed - _ROUNDING).all():
             return "PASS"
-        if any((wealth.most_failed[0] >= each - _ROUNDING).all() for each in self.regressed):
+        if any(self.fallen(wealth)):
             return "REGRESSED"
         return "INCONCLUSIVE"
 
@@ -235,6 +241,7 @@ class LimitGate(TrialPath):
         ladder: Ladder | None = None,
         share: float = 0.5,
         most: int = 120,
+        width: int | None = None,
     ) -> None:
         """Start without trials.
 
@@ -244,6 +251,9 @@ class LimitGate(TrialPath):
             ladder: what is climbed; None = the baseline's.
             share: q, where there is no baseline.
             most: trials after which it ends INCONCLUSIVE.
+            width: the candidate's own limit is searched first, as by `LimitSearch`, until its
+                bounds are so many rungs apart. Its trials then begin at number 0, so that those of
+                the baseline must be of another seed. None = only the verdict counts.
 
         Raises:
             UsageError: there is no ladder, or an argument cannot be used.
@@ -256,13 +266,15 @@ class LimitGate(TrialPath):
             raise UsageError("no ladder to climb", fix="give a baseline or a ladder")
         self.margins, self._baseline, self._most = margins, baseline, most
         self._claims = Claims.of(climbed, margins, baseline)
+        self._width = width
         estimate = baseline.estimate if baseline else None
         expected = -1.0 if estimate is None else float(estimate.rung)
+        is_told = baseline is not None and width is None
         super().__init__(
             climbed,
             baseline.share if baseline else share,
-            expected if baseline else None,
-            baseline.tried if baseline else [0] * len(climbed.rungs),
+            expected if is_told else None,
+            baseline.tried if baseline is not None and is_told else [0] * len(climbed.rungs),
         )
 
     @property
@@ -297,8 +309,19 @@ class LimitGate(TrialPath):
         return True
 
     def _choose(self, wealth: Wealth, beliefs: Beliefs) -> int | None:
-        spent = wealth.done.sum() + wealth.missed.sum() >= self._most
-        if spent or self._claims.word(wealth) != "INCONCLUSIVE":
+        if wealth.done.sum() + wealth.missed.sum() >= self._most:
+            return None
+        if self._width is not None:
+            search = Search(
+                curves=self._curves,
+                share=self.share,
+                confidence=self.margins.confidence,
+                width=self._width,
+                most=self._most,
+            )
+            if not search.ended(wealth)[0]:
+                return int(search.next(wealth, beliefs)[0])
+        if self._claims.word(wealth) != "INCONCLUSIVE":
             return None
         return self._claims.next(wealth, beliefs, self.share)
 
@@ -319,7 +342,10 @@ def judge_limit(
     """
     claims = Claims.of(candidate.ladder, margins, baseline)
     word = claims.word(candidate.wealth)
-    sentence = _sentence(word, candidate, baseline, margins)
+    shown = iter(claims.fallen(candidate.wealth))
+    by_drop = margins.max_drop is not None and next(shown)
+    by_least = margins.at_least is not None and next(shown)
+    sentence = _sentence(word, candidate, baseline, margins, by_drop=by_drop, by_least=by_least)
     if word == "INCONCLUSIVE" and not claims.can_regress:
         sentence += (
             "; the baseline's trials are too few for REGRESSED: find its limit at a confidence of "
@@ -372,25 +398,31 @@ def _cheapest(needed: Array, have: Array, most: Array, gain: Array) -> tuple[flo
 
 
 def _sentence(
-    word: LimitWord, candidate: Limit, baseline: Limit | None, margins: LimitMargins
+    word: LimitWord,
+    candidate: Limit,
+    baseline: Limit | None,
+    margins: LimitMargins,
+    *,
+    by_drop: bool,
+    by_least: bool,
 ) -> str:
-    """Return what is shown, in words."""
+    """Return what is shown, in words; of REGRESSED, by which of the claims."""
     says, name = candidate.ladder.says, candidate.ladder.name
     wanted: list[str] = []
     if margins.max_drop is not None:
         if word == "PASS":
             wanted.append(f"not lower than the baseline's by more than {says(margins.max_drop)}")
-        elif word == "REGRESSED":
+        elif by_drop:
             by = f" by more than {says(margins.tolerate)}" if margins.tolerate else ""
             wanted.append(f"lower than the baseline's{by}")
-    if margins.at_least is not None:
+    if margins.at_least is not None and (by_least or word != "REGRESSED"):
         reached, missed = ("at least", "below") if candidate.ladder.rises else ("at most", "above")
         wanted.append(f"{missed if word == 'REGRESSED' else reached} {says(margins.at_least)}")
     trials = plural(len(candidate.trials), "trial")
     if word == "INCONCLUSIVE":
         text = f"{name}: {trials} do not settle the limit"
     else:
-        joined = (" or " if word == "REGRESSED" else " and ").join(wanted)
+        joined = " and ".join(wanted)
         text = f"{name}: the limit is {joined}, shown by {trials}"
     if baseline is not None:
         text += f" (baseline {baseline.range_text}; candidate {candidate.range_text})"

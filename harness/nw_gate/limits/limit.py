@@ -224,7 +224,7 @@ class Limit:
                 staked=int(saved["staked"]),
                 expected=None if expected is None else _near(float(expected), len(rungs)),
             )
-        except (KeyError, TypeError, ValueError, UsageError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, UsageError) as error:
             raise StoreError(
                 f"saved limit cannot be read: {error}", fix="save the baseline anew"
             ) from error

@@ -96,6 +96,10 @@ class TrialPath(ABC):
             self.tell(trial, results[trial])
         return True
 
+    def takes(self, trial: LimitTrial) -> bool:
+        """Whether a trial may be one of this path: its number is not below the rung's first."""
+        return 0 <= trial.rung < len(self._first) and trial.number >= self._first[trial.rung]
+
     def tell(self, trial: LimitTrial, completed: bool) -> None:
         """Take the result of a trial, in any order.
 
@@ -103,7 +107,7 @@ class TrialPath(ABC):
             UsageError: there is no such trial, or it had another result.
         """
         rung, number = trial
-        if not 0 <= rung < len(self._first) or number < self._first[rung]:
+        if not self.takes(LimitTrial(*trial)):
             raise UsageError(
                 f"trial {number} of rung {rung} was not asked for",
                 fix="give a trial of `next` or `ahead`",

@@ -379,6 +379,7 @@ def write_merged(
         StoreError: it cannot be written.
     """
     if (there := _there(out, arm.info, arm.held)) is not None:
+        _take_ladders(arm, RunFolder(path=out))
         return there, ()
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -389,10 +390,7 @@ def write_merged(
                 folder.baseline.path.mkdir()
                 _fill(folder.baseline, control, against)
             ended, lost = _fill(folder, arm, against)
-            for source in arm.sources:
-                # One part has climbed the ladders for all of them.
-                if source.folder.limit_runs and not folder.limits.exists():
-                    shutil.copytree(source.folder.limits, folder.limits, ignore=_links)
+            _take_ladders(arm, folder)
             folder.path.rename(out.resolve())  # A link to an empty folder stays a link.
     except OSError as error:
         raise StoreError(
@@ -401,6 +399,13 @@ def write_merged(
         ) from error
     sync_folder(out.parent)
     return ended, lost
+
+
+def _take_ladders(arm: MergedArm, folder: RunFolder) -> None:
+    """Copy the runs on ladders of the part that has climbed them for all of them."""
+    for source in arm.sources:
+        if source.folder.limit_runs and not folder.limits.exists():
+            shutil.copytree(source.folder.limits, folder.limits, ignore=_links)
 
 
 def _links(folder: str, names: list[str]) -> list[str]:

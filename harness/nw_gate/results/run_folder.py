@@ -273,8 +273,11 @@ def check_plain(folder: RunFolder) -> None:
         for path, facts in _read_files(folder):
             fault, name = "", folder.relative(path)
             is_link = stat.S_ISLNK(facts.st_mode)
+            # The logs of a run on a ladder are linked within its own folder.
+            of_ladder = path.relative_to(folder.path).parts[0] == folder.limits.name
+            own = name.split("/", 3)[-1] if of_ladder else name
             # What a link of ours leads to is among the files; whose row has it, digests say.
-            if not stat.S_ISREG(facts.st_mode) and not (is_link and is_own_link(path, name)):
+            if not stat.S_ISREG(facts.st_mode) and not (is_link and is_own_link(path, own)):
                 kind = "a symbolic link" if is_link else "not a plain file"
                 fault = f"{name} is {kind}"
             elif facts.st_nlink > 1 and path.suffix != ".mcap":

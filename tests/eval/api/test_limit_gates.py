@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from nw_base.errors import SuiteError
+from nw_base.errors import StoreError, SuiteError
 from nw_eval import api
 from nw_eval.cli import main
 from nw_gate.limits.limit import Limit
 from nw_gate.results.baseline_file import read_baseline, write_baseline
 from nw_gate.results.provenance import read_run_info
+from nw_gate.results.run_folder import RunFolder, check_plain
 from nw_policies import find_card
 
 SUITE = """\
@@ -237,3 +238,41 @@ def test_compare_puts_limits_side_by_side(project, soft):
     first, second = found.limits["stairs/up"]
     assert first.lower.value >= 0.20
     assert second == steps(soft).candidate
+
+
+def test_the_runs_on_a_ladder_of_another_policy_are_refused(soft, tmp_path):
+    other = run(tmp_path / "other", policy="stand")
+    shutil.rmtree(other.folder / "limits")
+    shutil.copytree(soft.folder / "limits", other.folder / "limits")
+    with pytest.raises(StoreError, match=r"is not of this run: its policy is "):
+        api.report(other.folder)
+
+
+def test_rungs_with_other_values_than_the_ladder_has_are_refused(soft, tmp_path):
+    copied = tmp_path / "run"
+    shutil.copytree(soft.folder, copied)
+    file = copied / "limits/stairs-up/candidate/ladder.json"
+    said = json.loads(file.read_text())
+    file.write_text(json.dumps({**said, "rungs": [2 * value for value in said["rungs"]]}))
+    with pytest.raises(StoreError, match=r"is the rung 0\.08 of stairs/up, not 0\.16"):
+        api.report(copied)
+
+
+def test_links_to_reused_logs_of_a_ladder_are_the_runs_own(soft, tmp_path):
+    again = run(tmp_path / "again")  # Its trials are those of `soft`, from the cache.
+    assert steps(again).candidate == steps(soft).candidate
+    logs = [*(again.folder / "limits").rglob("*.mcap")]
+    assert any(log.is_symlink() for log in logs)
+    check_plain(RunFolder(path=again.folder))
+    (tmp_path / "elsewhere").write_bytes(b"")
+    next(log for log in logs if log.is_symlink()).unlink()
+    logs[0].with_name("other.mcap").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(StoreError, match=r"other\.mcap is a symbolic link"):
+        check_plain(RunFolder(path=again.folder))
+
+
+def test_a_run_without_a_baseline_goes_on_with_one(tmp_path):
+    alone = api.run("./steps.yaml", policy="./soft", baseline="none", out=tmp_path / "run")
+    assert steps(alone).word is None
+    found = api.run(resume=alone.folder, baseline="go1-parkour")
+    assert steps(found).word == "REGRESSED"

@@ -170,6 +170,7 @@ def _line(listed: ListedBaseline) -> tuple[str, ...]:
 
 
 def _facts(shown: ShownBaseline) -> Iterator[str]:
+    from nw_gate.limits.limit import Limit
     from nw_gate.results.baseline import baseline_mean
 
     manifest, baseline = shown.baseline.manifest, shown.baseline
@@ -186,6 +187,10 @@ def _facts(shown: ShownBaseline) -> Iterator[str]:
     yield f"mean       {baseline_mean(baseline):.3f}"
     yield f"seed       {manifest.key.seed}, protocol {clean(manifest.key.protocol)}"
     yield f"simulator  {clean(simulator)}"
+    for ladder, saved in manifest.limits.items():
+        limit = Limit.from_dict(saved.limit)
+        trials = plural(len(limit.trials), "trial")
+        yield f"limit      {clean(ladder)}: {clean(limit.range_text)} ({trials})"
     if manifest.note:
         yield f"note       {clean(manifest.note)}"
     for number, (panel, info) in enumerate(zip(baseline.panels, manifest.panels, strict=True), 1):

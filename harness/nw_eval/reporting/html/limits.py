@@ -110,13 +110,21 @@ def limits_table(limits: Sequence[LadderLimit]) -> Table:
 
 
 def bounds_words(limit: Limit) -> str:
-    """Return the bounds of a limit in a few words, such as "0.26 to 0.34 m"."""
+    """Return the bounds of a limit in a few words, such as "0.26 to 0.34 m".
+
+    Where a rung is cleared by another share of trials than half of them, that is said, too.
+    """
     low, high = limit.lower, limit.upper
     if low is not None and high is not None:
-        return f"{low.value:.6g} to {limit.ladder.says(high.value)}"
-    if low is not None:
-        return f"{limit.ladder.says(low.value)} or harder"
-    return "undecided" if high is None else f"easier than {limit.ladder.says(high.value)}"
+        text = f"{low.value:.6g} to {limit.ladder.says(high.value)}"
+    elif low is not None:
+        text = f"{limit.ladder.says(low.value)} or harder"
+    else:
+        text = "undecided" if high is None else f"easier than {limit.ladder.says(high.value)}"
+    return text if limit.share == _SHARE else f"{text} for {100.0 * limit.share:.4g} %"
+
+
+_SHARE = 0.5
 
 
 def limits_words(limits: Sequence[LadderLimit]) -> list[str]:
