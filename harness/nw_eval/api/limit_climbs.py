@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from nw_gate.results.baseline import LoadedBaseline
     from nw_gate.results.provenance import RunInfo
     from nw_gate.settings import Gate, LadderGate
+    from nw_gate.verdict import Verdict
     from nw_sim.ladders import Ladder as SceneLadder
 
 
@@ -68,7 +69,7 @@ def climb_limits(
     from nw_eval.api.loaded_baselines import kept_baseline
     from nw_eval.api.reports import as_begun
 
-    run, began = read_run_info(folder.run_json), perf_counter()
+    run, began, verdict = read_run_info(folder.run_json), perf_counter(), None
     if run.interrupted or not plan.suite.gate.limits:
         return
     if searched:
@@ -80,11 +81,14 @@ def climb_limits(
             else ()
         )
     else:
-        limits = as_begun(folder.path).verdict.limits
-        names = tuple(item.ladder for item in limits if item.word == "INFRASTRUCTURE")
+        verdict = as_begun(folder.path).verdict
+        lacking = (item for item in verdict.limits if item.word == "INFRASTRUCTURE")
+        names = tuple(item.ladder for item in lacking)
     against = against or (kept_baseline(folder, run) if names else None)
     for name in names:
-        interrupted = _climb_gated(plan, folder, run, name, against, how, searched=searched)
+        interrupted = _climb_gated(
+            plan, folder, run, name, against, how, searched=searched, verdict=verdict
+        )
         wall = run.wall_s + perf_counter() - began
         update = {"wall_s": wall, "interrupted": interrupted}
         write_run_info(folder.run_json, run.model_copy(update=update))
@@ -161,13 +165,14 @@ def _climb_gated(
     how: How,
     *,
     searched: bool,
+    verdict: Verdict | None,
 ) -> bool:
     """Run what one ladder needs; return whether a signal came first."""
     from nw_sim.ladders import ladder_named
 
     family, asked = ladder_named(name, plan.suite.base), plan.suite.gate.limits[name]
     at, baseline = ladder_folders(folder, plan.suite.gate)[name], None
-    if compares(asked, run, against):
+    if compares(asked, run, against, verdict):
         assert against is not None, "there is something to compare with"
         saved = against.results.manifest.limits.get(name)
         of_saved = ladder_plan_of_run(family, plan, 1)

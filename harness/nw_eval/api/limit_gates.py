@@ -230,13 +230,21 @@ def _rungs(said: Mapping[str, Any]) -> tuple[Ladder, list[Stratum]]:
     return ladder, cells
 
 
-def compares(asked: LadderGate, run: RunInfo, against: LoadedBaseline | None) -> bool:
-    """Whether a limit is compared with the baseline's: not where the policy is the baseline's."""
+def compares(
+    asked: LadderGate, run: RunInfo, against: LoadedBaseline | None, verdict: Verdict | None
+) -> bool:
+    """Whether a limit is compared with the baseline's.
+
+    Not where the policy is the baseline's, unless the trials of the scenes have shown that it
+    computes other results here.
+    """
     from nw_gate.baseline.match import is_baseline
 
     if asked.max_drop is None or against is None:
         return False
-    return not is_baseline(run.policy, against.results)
+    comparison = None if verdict is None else verdict.against
+    is_moved = comparison is not None and comparison.is_own
+    return is_moved or not is_baseline(run.policy, against.results)
 
 
 def limit_path(
@@ -296,7 +304,7 @@ def _finding(
     if own is None:
         word, sentence = _unclimbed(name, info, suite, against, verdict)
     else:
-        shown = _shown(name, own, at, info, suite, against, mend=mend)
+        shown = _shown(name, own, at, info, suite, against, verdict, mend=mend)
         word, sentence, candidate, baseline = shown
     return LimitFinding(
         ladder=name,
@@ -325,7 +333,7 @@ def _unclimbed(
     asked = suite.gate.limits[name]
     if asked.at_least is None and against is None:
         return None, _UNJUDGED
-    if asked.at_least is None and not compares(asked, info, against):
+    if asked.at_least is None and not compares(asked, info, against, verdict):
         return "PASS", "the limit is the baseline's, as the policy is"
     if name not in asked_ladders(suite, info):
         return None, "not climbed, as --scenes leaves it out"
@@ -341,6 +349,7 @@ def _shown(
     info: RunInfo,
     suite: Suite,
     against: LoadedBaseline | None,
+    verdict: Verdict | None,
     *,
     mend: bool,
 ) -> tuple[Word | None, str, Limit | None, Limit | None]:
@@ -348,7 +357,7 @@ def _shown(
     asked, baseline = suite.gate.limits[name], None
     if fault := _fault_of(own, info, suite):
         raise StoreError(f"{at / 'candidate'} is not of this run: {fault}", fix="run again")
-    if compares(asked, info, against):
+    if compares(asked, info, against, verdict):
         assert against is not None, "there is something to compare with"
         baseline = _baseline_limit(name, suite, at, own, info, against, mend=mend)
         if baseline is None:

@@ -73,7 +73,8 @@ def with_limits(verdict: Verdict, limits: Sequence[LimitFinding]) -> Verdict:
     split over success, scores and limits (`Gate.shared`).
 
     Args:
-        verdict: on the run's scenes. A run that is INFRASTRUCTURE or INVALID stays so.
+        verdict: on the run's scenes. A run that is INFRASTRUCTURE or INVALID stays so, and no
+            REGRESSED but INVALID becomes of the baseline's own policy.
         limits: what the ladders show, in the order of the suite.
     """
     if not limits:
@@ -84,6 +85,8 @@ def with_limits(verdict: Verdict, limits: Sequence[LimitFinding]) -> Verdict:
     word, judged = verdict.verdict, [item for item in limits if item.word is not None]
     for item in judged:
         word = worse(word, item.word or "PASS")
+    if word == "REGRESSED" and verdict.against is not None and verdict.against.is_own:
+        word = "INVALID"  # The policy is the same: this machine or version changed.
     verdict = without_unjudged(verdict) if judged else verdict
     ordered = sorted(limits, key=lambda item: (item.word or "PASS") != word)
     return reworded(verdict, word, [item.sentence for item in ordered])

@@ -259,16 +259,17 @@ def test_rungs_with_other_values_than_the_ladder_has_are_refused(soft, tmp_path)
 
 
 def test_links_to_reused_logs_of_a_ladder_are_the_runs_own(soft, tmp_path):
-    again = run(tmp_path / "again")  # Its trials are those of `soft`, from the cache.
-    assert steps(again).candidate == steps(soft).candidate
-    logs = [*(again.folder / "limits").rglob("*.mcap")]
-    assert any(log.is_symlink() for log in logs)
-    check_plain(RunFolder(path=again.folder))
-    (tmp_path / "elsewhere").write_bytes(b"")
-    next(log for log in logs if log.is_symlink()).unlink()
-    logs[0].with_name("other.mcap").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(StoreError, match=r"other\.mcap is a symbolic link"):
-        check_plain(RunFolder(path=again.folder))
+    copied = tmp_path / "run"
+    shutil.copytree(soft.folder, copied)
+    nested = copied / "limits/stairs-up/candidate"
+    for name in ("mcap", "cached"):
+        (nested / name / "one").mkdir(parents=True)
+    (nested / "cached/one/two.mcap").write_bytes(b"log")
+    (nested / "mcap/one/two.mcap").symlink_to("../../cached/one/two.mcap")
+    check_plain(RunFolder(path=copied))
+    (nested / "mcap/one/three.mcap").symlink_to("../../../../../run.json")
+    with pytest.raises(StoreError, match=r"three\.mcap is a symbolic link"):
+        check_plain(RunFolder(path=copied))
 
 
 def test_a_run_without_a_baseline_goes_on_with_one(tmp_path):
