@@ -6,6 +6,7 @@ control step on.
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -287,7 +288,14 @@ def _contents(topic: str, message: Any) -> Iterator[tuple[Kind, bytes]]:
         message.ClearField("observation_digest")
         yield "action", message.SerializeToString(deterministic=True)
     else:
+        for field, value in message.ListFields():
+            if isinstance(value, str):  # A reused trial may have run for another suite.
+                setattr(message, field.name, _OF_SUITE.sub(" of a suite", value))
         yield _kind(topic), message.SerializeToString(deterministic=True)
+
+
+_OF_SUITE = re.compile(r" of suite \S+$")
+"""The end of the first event of a log: which suite its trial was of."""
 
 
 def _kind(topic: str) -> Kind:

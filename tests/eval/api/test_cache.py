@@ -307,3 +307,18 @@ def test_a_cache_that_cannot_be_opened_is_a_sentence(place, tmp_path, monkeypatc
     [message] = told
     assert message.startswith("results of earlier runs are not used, and none is kept for later: ")
     assert "trials" in known.info.off
+
+
+@pytest.mark.usefixtures("place")
+def test_a_log_that_was_reused_from_another_suite_is_identical(tmp_path):
+    text = (
+        "nw-eval: 1\nname: {}\nrobot: go1\npolicy: stand\ntrials: 3\nseed: 7\nrecord: failures\n"
+        "episode: {{duration: 0.5}}\nscenes: [flat/carpet_room]\n"
+    )
+    for name in ("first", "second"):
+        (tmp_path / f"{name}.yaml").write_text(text.format(name))
+        found = api.run(tmp_path / f"{name}.yaml", out=tmp_path / name, workers=1)
+    assert any(row.cached for row in found.rows)
+    verified = api.verify(found.folder, trials="100%")
+    assert all(each.is_identical for each in verified.repeats.trials)
+    assert len(verified.repeats.trials) == 3
