@@ -182,8 +182,8 @@ _MATERIALS = frozenset({"material", "top", "props", "body", "treads"})
 
 def parted(text: str) -> tuple[str, int | None]:
     """Return a name or pattern without the number of a variant, and the number; None without."""
-    match = _VARIANT.fullmatch(text)
-    return (text, None) if match is None else (match["name"], int(match["number"]))
+    found = _VARIANT.fullmatch(text)
+    return (text, None) if found is None else (found["name"], int(found["number"]))
 
 
 def has_variants(name: str) -> bool:

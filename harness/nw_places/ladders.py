@@ -324,10 +324,10 @@ def rung(reference: str) -> Entry | None:
     if not at or family not in FAMILIES:
         return None
     mine = FAMILIES[family]
-    match = _RUNG.fullmatch(reference)
-    if match is None:
+    found = _RUNG.fullmatch(reference)
+    if found is None:
         raise SceneError(
             f"{reference!r} is no rung of the ladder {family}",
             fix=f"write a number behind @, such as {mine.reference_of_easiest}",
         )
-    return mine.entry(float(match["value"]), int(match["number"]) if match["number"] else None)
+    return mine.entry(float(found["value"]), int(found["number"]) if found["number"] else None)

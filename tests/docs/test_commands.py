@@ -79,6 +79,21 @@ NOT_RUN = MappingProxyType(
         "nw-eval run hurdles --policy my-policy --track wandb": (
             "test_trackers.py and tests/eval/report/trackers track runs"
         ),
+        **dict.fromkeys(
+            [
+                (
+                    "nw-eval policies init go2_moe_cts_124k.pt --robot go2 --layout legged-gym "
+                    "--out robogauge-moe.yaml"
+                ),
+                "nw-eval policies check ./robogauge-moe.yaml",
+                (
+                    "nw-eval limits stairs/up stairs/down hurdles/bar gaps/gap ramps/up ramps/down "
+                    "-p ./robogauge-moe.yaml"
+                ),
+                "nw-eval limits stairs/up hurdles/bar ramps/up -p ./robogauge-moe.yaml --contacts",
+            ],
+            "of somebody's checkpoint; tests/policies drafts and checks others",
+        ),
         "nw-eval run hurdles --engine ray": "starts a cluster; tests/eval/engine/ray runs on some",
         "nw-eval run hurdles --policy ./my-policy --engine ray --address auto": (
             "on a cluster; tests/eval/engine/ray does"

@@ -175,6 +175,8 @@ class Attempts:
         """Say what is not run, and leave no beginning of it; None if all trials have run."""
         for job in self.jobs:
             if job.mcap is not None and self.ended_row(job) is None:
+                # A worker may have ended a trial just before it was stopped.
+                job.mcap.unlink(missing_ok=True)
                 job.mcap.with_name(f"{job.mcap.name}.partial").unlink(missing_ok=True)
         judged = now.first + len(now.followed)
         if judged == len(self.jobs):

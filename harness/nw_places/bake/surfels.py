@@ -214,11 +214,11 @@ def _rims(decal: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 def decal_at(patch: Patch, s: Array, t: Array) -> NDArray[np.int64]:
     """Return the index of the topmost decal at places of a patch, -1 for none."""
-    indices = np.full(len(s), -1, dtype=np.int64)
+    found = np.full(len(s), -1, dtype=np.int64)
     for index, decal in enumerate(patch.decals):
         u0, v0, u1, v1 = decal.rect
-        indices[(s >= u0) & (s < u1) & (t >= v0) & (t < v1)] = index
-    return indices
+        found[(s >= u0) & (s < u1) & (t >= v0) & (t < v1)] = index
+    return found
 
 
 def _edges(marks: Sequence[float], end: float) -> Array:

@@ -377,7 +377,7 @@ def _point(
     for name in where:
         if name not in shots:
             raise UsageError(
-                f"a triangulated was picked in {name!r}, which is no shot of the capture",
+                f"a point was picked in {name!r}, which is no shot of the capture",
                 fix=nearest(name, shots),
             )
     chosen = [shots[name] for name in where]
@@ -389,8 +389,8 @@ def _point(
     )
     if triangulated is None:
         raise UsageError(
-            f"the picks {words_of(where) or 'in no shot'} do not meet in a triangulated",
-            fix="pick the same triangulated in two shots or more, taken well apart",
+            f"the picks {words_of(where) or 'in no shot'} do not meet in a point",
+            fix="pick the same point in two shots or more, taken well apart",
         )
     return triangulated.points[0]
 
