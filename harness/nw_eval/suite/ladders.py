@@ -21,6 +21,7 @@ def gated_ladder(family: SceneLadder) -> Ladder:
 def ladder_faults(suite: Suite) -> list[tuple[tuple[str | int, ...], NwEvalError]]:
     """Return what of `gate.limits` cannot be used, each with its location in the suite's file."""
     from nw_gate.limits.against import Claims, LimitMargins
+    from nw_gate.limits.wealth import fewest_trials
     from nw_sim.ladders import ladder_named
     from nw_sim.tasks import COURSE
 
@@ -34,6 +35,13 @@ def ladder_faults(suite: Suite) -> list[tuple[tuple[str | int, ...], NwEvalError
                     f"the rungs of {name} are commands; a gate judges ladders of scenes and of "
                     "perturbations",
                     fix="leave it out",
+                )
+            least = fewest_trials(asked.share, suite.gate.confidence)
+            if asked.trials < least:
+                raise UsageError(
+                    f"{asked.trials} trials cannot decide a limit on {name}: a PASS needs {least} "
+                    f"at least, where {100.0 * asked.share:g} % of the trials of a rung are asked",
+                    fix="raise `trials`",
                 )
             if asked.at_least is not None:
                 Claims.of(gated_ladder(family), LimitMargins(at_least=asked.at_least), None)

@@ -33,7 +33,7 @@ collectif" (1939).
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from math import log
+from math import ceil, log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,6 +112,17 @@ class Wealth:
         cleared = np.logical_and.accumulate(self.most_cleared >= needed, axis=1)
         failed = np.logical_and.accumulate(self.most_failed[:, ::-1] >= needed, axis=1)
         return cleared.sum(axis=1) - 1, rungs - failed.sum(axis=1)
+
+
+def fewest_trials(share: float, confidence: float) -> int:
+    """Return how many completed trials a claim "cleared" needs, if no trial fails.
+
+    Args:
+        share: q.
+        confidence: of the claim.
+    """
+    gain = log(max(_MOST, share) / share)
+    return ceil(-log(1.0 - confidence) / gain) if gain > 0.0 else 1
 
 
 def growth(rate: Array, share: float) -> Array:
