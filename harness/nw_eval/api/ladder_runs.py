@@ -228,10 +228,6 @@ class Climb:
         from nw_gate.results.provenance import read_run_info
 
         begun = out if what_is(out / "run.json") == "file" else None
-        if begun is not None and _drawn_from(begun) != self._plan.drawn_from:
-            # It was begun beside another baseline; its results are in the cache of trials.
-            _move_aside(out)
-            begun = None
         folder = session.carry_out(
             self._plan, self._how, out=None if begun else out, resume=begun, comparison=self
         )
@@ -295,31 +291,6 @@ class Climb:
 
     def end(self, run: RunInfo) -> None:
         """Do nothing: the search knows its limit."""
-
-
-def _drawn_from(run: Path) -> int | None:
-    from nw_gate.results.provenance import read_run_info
-
-    return read_run_info(run / "run.json").drawn_from
-
-
-def _move_aside(run: Path) -> None:
-    """Rename the folder of a run that is not gone on with.
-
-    Raises:
-        StoreError: it cannot be renamed.
-    """
-    from nw_base.errors import StoreError
-
-    number = 1
-    while (aside := run.with_name(f"{run.name}-before-{number}")).exists():
-        number += 1
-    try:
-        run.rename(aside)
-    except OSError as error:
-        raise StoreError(
-            f"cannot rename {run}: {error.strerror}", fix="check its rights, or start a new run"
-        ) from error
 
 
 def title_of(family: SceneLadder) -> str:

@@ -53,8 +53,9 @@ def climb_limits(
 ) -> None:
     """Run what the ladders of a suite's gate need, after the trials of its scenes.
 
-    Of a run in parts the first part does. Where the run is INVALID or INFRASTRUCTURE, nothing runs.
-    After a REGRESSED the ladders are climbed, too: they say by how much in metres.
+    Of a run in parts the first part does. Where the run is INVALID or INFRASTRUCTURE, nothing runs,
+    unless limits are searched. After a REGRESSED the ladders are climbed, too: they say by how much
+    in metres.
 
     Args:
         plan: of the run.
@@ -172,13 +173,14 @@ def _climb_gated(
 
     family, asked = ladder_named(name, plan.suite.base), plan.suite.gate.limits[name]
     at, baseline = ladder_folders(folder, plan.suite.gate)[name], None
+    # A candidate's trials begin after those of any baseline: one plan serves beside each of them.
+    own = ladder_plan_of_run(family, plan, MOST_SAVED + asked.trials)
     if compares(asked, run, against, verdict):
         assert against is not None, "there is something to compare with"
         saved = against.results.manifest.limits.get(name)
-        of_saved = ladder_plan_of_run(family, plan, 1)
         if (
             saved is not None
-            and _is_of(saved, of_saved, name, plan.suite.gate)
+            and _is_of(saved, own, name, plan.suite.gate)
             and holds_here(saved, run)
         ):
             baseline = Limit.from_dict(saved.limit)
@@ -189,8 +191,6 @@ def _climb_gated(
     path = limit_path(asked, plan.suite.gate, gated_ladder(family), baseline, searched=searched)
     if path is None:
         return False
-    first = 0 if baseline is None or searched else max(baseline.tried)
-    own = ladder_plan_of_run(family, plan, first + asked.trials)
     how.told.message(f"ladder {name}: at most {asked.trials} trials")
     return _climbed(own, family, path, how, at / "candidate", searched=searched)
 
