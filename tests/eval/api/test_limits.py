@@ -248,6 +248,18 @@ def test_a_ladder_of_commands_has_trials_of_the_task_velocity(tmp_path):
     assert [row.completed for row in rows] == [False] * 5
 
 
+def test_on_a_leaderboard_limits_that_were_asked_otherwise_have_columns_of_their_own(
+    standing, tmp_path
+):
+    asked = {"contacts": {"contacts": True}, "most": {"share": 0.9}}
+    for name, options in asked.items():
+        api.limits(["stairs/up"], policy="stand", out=tmp_path / name, workers=1, **options)
+    api.write_site([standing.out, *(tmp_path / name for name in asked)], tmp_path / "site")
+    page = (tmp_path / "site" / "index.html").read_text()
+    columns = re.findall(r"<th[^>]*>\s*(stairs/up[^<]*?)\s*</th>", page)
+    assert columns == ["stairs/up", "stairs/up, 90\xa0% of trials", "stairs/up, with contacts"]
+
+
 def test_what_cannot_be_climbed_is_said_before_anything_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SceneError, match=r"no ladder 'stairs/upp'.* did you mean 'stairs/up'"):
