@@ -194,8 +194,9 @@ class ListedLimit:
 
     @property
     def label(self) -> str:
-        """The ladder, and what was asked on it where that is not the usual: limits share a column,
-        or a line, where they have one label.
+        """The ladder, and what was asked on it where that is not the usual.
+
+        Limits with one label share a column of a leaderboard and a line of a chart.
         """
         found = self.ladder
         if self.limit.share != _USUAL_SHARE:
