@@ -47,6 +47,7 @@ _MOSTLY = 0.5
 _LEVELS = 100
 _CONTENTS = 0.05
 _ROOM = 0.1
+_EDGES = 0.1  # of a room's height, next to floor and ceiling
 _HANGING = 0.55
 _TURN_OVER = (
     "if it is upside down, turn it over: `nw-eval scenes level SCENE --flip --propose`, or import "
@@ -176,9 +177,11 @@ def room_of(triangles: Values, up: Values) -> Room | None:
     sizes = sorted((float(sums[0][floor]), float(sums[1][ceiling])))
     if ceiling <= floor or not sizes[0] > _ROOM * sizes[1]:
         return None
-    between = (bins > floor) & (bins < ceiling) & (np.abs(turn) > 0.5)
     rise = span / _LEVELS * (ceiling - floor)
     level = low + span / _LEVELS * (floor + 0.5)
+    # Floor and ceiling of a scan are no planes, and round off where they meet the walls.
+    inside = np.abs((height - level) / rise - 0.5) < 0.5 - _EDGES
+    between = inside & (np.abs(turn) > 0.5)
     contents = np.nan
     if area[between].sum() > _CONTENTS * sums[0][floor]:
         mean = np.average(height[between], weights=area[between])

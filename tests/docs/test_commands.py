@@ -180,6 +180,7 @@ NOT_RUN = MappingProxyType(
                 ),
                 "nw-eval scenes import map.png --out my-stairs --cell 0.04 --white 1.25",
                 "nw-eval scenes import phone.glb --out my-room --splat phone.spz",
+                "nw-eval scenes import survey.laz --out my-field --unit ft",
             ],
             "scans of somebody; tests/twin/scans imports and levels some",
         ),

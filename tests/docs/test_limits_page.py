@@ -1,10 +1,14 @@
 """The page of limits of policies: its tables and its picture are those of the record."""
 
 import re
+from collections import Counter
 
 import pytest
 from record_limits_page import HEADS, PAGE, PICTURE, WIDTH, limits_of, page, picture, recorded
 
+from nw_eval.api.climbing import MOST
+from nw_gate.limits.find import LimitSearch
+from nw_gate.limits.ladder import LimitTrial
 from nw_policies import find_card, load_bundle
 
 SHIPPED = ("go1-parkour", "go1-act-depth", "go1-act-rgb", "go1-act-rgb-ray", "stand")
@@ -42,6 +46,21 @@ def test_every_cell_is_two_bounds_and_trials_that_the_record_has(group):
             assert (bool(told[2]), bool(told[3])) == (limit.width != WIDTH, not limit.decided)
             ends = {bound.value for bound in (limit.lower, limit.upper) if bound is not None}
             assert {float(number) for number in re.findall(r"\d+(?:\.\d+)?", told[1])} == ends
+
+
+@pytest.mark.parametrize("group", HEADS)
+def test_searches_of_this_version_ask_for_the_trials_that_were_recorded(group):
+    for policy in recorded():
+        for ladder, limit in limits_of(policy).items() if policy["group"] == group else ():
+            results: dict[LimitTrial, bool] = {}
+            tried = Counter[int]()
+            for rung, completed in limit.trials:
+                results[LimitTrial(rung, tried[rung])] = completed
+                tried[rung] += 1
+            asked = {"share": limit.share, "confidence": limit.confidence, "width": limit.width}
+            search = LimitSearch(limit.ladder, **asked, most=MOST)
+            assert search.follow(results), f"{policy['name']}, {ladder}: another trial is needed"
+            assert search.limit.trials == limit.trials, f"{policy['name']}, {ladder}"
 
 
 def test_shipped_policies_are_those_of_this_version():

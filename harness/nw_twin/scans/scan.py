@@ -1,4 +1,4 @@
-"""Scans that others made, to scenes: meshes and elevation maps, upright and with a course.
+"""Scans that others made, to scenes: meshes, point clouds and elevation maps.
 
 What comes in is in the axes and the unit of its file. What comes out is a scene folder in metres
 with z up, its ground at z = 0 where the robot starts.
@@ -36,6 +36,7 @@ from nw_scenes.surface import Surface
 from nw_sim.survey import footing_lines, survey_lines
 from nw_twin.place import SUITE, Route, check_scene_name, moved_points
 from nw_twin.scans.looks import write_looks
+from nw_twin.scans.points import LAS_SUFFIXES, is_cloud, surfaced
 
 Values = NDArray[np.float64]
 Unit = Literal["m", "cm", "mm", "ft", "in"]
@@ -135,7 +136,8 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
     """Write the scene folder of a scan, and a suite beside it; whole or not at all.
 
     Args:
-        source: a mesh (GLB, OBJ, PLY, STL), or an elevation map (PNG, GeoTIFF).
+        source: a mesh (GLB, OBJ, PLY, STL), a point cloud (PLY, LAS, LAZ), or an elevation map
+            (PNG, GeoTIFF).
         out: the folder, which must not be there.
         options: how it is to be understood.
 
@@ -143,6 +145,7 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
         UsageError: an option makes no sense of this file, or `out` is in use.
         SceneError: a file cannot be read, or the scene cannot be loaded.
         StoreError: it cannot be written.
+        PrerequisiteError: a package that point clouds need is not installed.
     """
     options = ScanOptions() if options is None else options
     check_new(out)
@@ -216,6 +219,7 @@ class _Scan:
     """What contradicts about which way is up."""
 
 
+_SURFACES = (*MESH_SUFFIXES, *LAS_SUFFIXES)
 _OF_MAPS = ("cell", "white", "black", "no_data")
 _OF_MESHES = ("up", "unit", "gaussians")
 
@@ -232,7 +236,7 @@ def _check_used(source: Path, options: ScanOptions) -> None:
         asked = [one for one in names if getattr(options, one) != getattr(default, one)]
         return " and ".join(f"--{one.replace('_', '-')}" for one in asked)
 
-    if suffix in MESH_SUFFIXES and (wrong := given(*_OF_MAPS)):
+    if suffix in _SURFACES and (wrong := given(*_OF_MAPS)):
         what, fix = "of elevation maps", f"give one of {', '.join(ELEVATION_SUFFIXES)}"
     elif suffix in ELEVATION_SUFFIXES and (wrong := given(*_OF_MESHES)):
         what = "of meshes: an elevation map has its height up, is in metres and has no colours"
@@ -279,13 +283,17 @@ def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
             findings=(),
         )
         T_file = np.eye(4)
-    elif suffix in MESH_SUFFIXES:
-        painted = read_painted(source)
+    elif suffix in _SURFACES:
+        if is_cloud(source):
+            painted, drawn = surfaced(source, options.up)
+            lines += drawn
+        else:
+            painted = read_painted(source)
         lines += [f"{one.message}" for one in painted.findings]
         T_file, words, fault = _upright(painted, source, options)
         lines += words
     else:
-        raise unread(source, (*MESH_SUFFIXES, *ELEVATION_SUFFIXES))
+        raise unread(source, (*_SURFACES, *ELEVATION_SUFFIXES))
     points = moved_points(T_file, painted.vertices)
     middle = np.median(points, axis=0)
     shift = np.where(np.abs(middle) > _FAR, -np.round(middle), 0.0)
@@ -300,7 +308,7 @@ def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
         raise SceneError(
             f"{source}: {words}: the unit of its numbers is not {_unit(painted, options)}",
             fix="give another --unit (m, cm, mm, ft, in)"
-            if suffix in MESH_SUFFIXES
+            if suffix in _SURFACES
             else "give another --cell",
         )
     lines.insert(0, f"{source.name}: {len(painted.faces):,} triangles, {words}")

@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportScan:
-    """Build a scene folder from a scan: a coloured mesh, or an elevation map.
+    """Build a scene folder from a scan: a mesh, a point cloud, or an elevation map.
 
-    Meshes are GLB, OBJ, PLY or STL; elevation maps are PNG or GeoTIFF. The scene is in metres with
-    z up, and the ground under the start is at z = 0. Texture and vertex colours become Gaussians
-    for camera images. A suite is written beside the scene. The scene is checked as by `scenes
-    check`; exit code 2 if it is not ready.
+    Meshes are GLB, OBJ, PLY or STL, point clouds PLY, LAS or LAZ, elevation maps PNG or GeoTIFF.
+    The scene is in metres with z up, and the ground under the start is at z = 0. Colours become
+    Gaussians for camera images. A suite is written beside the scene. The scene is checked as by
+    `scenes check`; exit code 2 if it is not ready.
     """
 
     scan: tyro.conf.Positional[Path]
-    """The mesh or the elevation map."""
+    """The mesh, the point cloud or the elevation map."""
     out: Path
     """The scene's folder, which must not exist."""
     unit: Literal["auto", "m", "cm", "mm", "ft", "in"] = "auto"

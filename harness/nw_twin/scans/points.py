@@ -1,0 +1,298 @@
+"""Point clouds of scanners and phones, to meshes: a surface is drawn through the points.
+
+PLY files without faces, and LAS and LAZ. Points are thinned to an even spacing, get normals of one
+side, and a surface by Poisson's equation (Kazhdan and Hoppe, "Screened Poisson Surface
+Reconstruction", 2013), which is kept where points are near.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_base.errors import SceneError
+from nw_base.files.inside import regular
+from nw_base.files.ply import Ply
+from nw_base.plural import plural
+from nw_scenes.limits import MESH_FACES
+from nw_scenes.mesh_file import PaintedMesh
+from nw_scenes.mesh_parts import Material
+from nw_twin.packages import package
+
+Values = NDArray[np.float64]
+
+LAS_SUFFIXES = (".las", ".laz")
+"""Of files that hold point clouds alone; a PLY may hold one, too."""
+
+_MOST = 20_000_000
+"""Points that are read."""
+_THINNED = 300_000
+"""Points that a surface is drawn through, at most."""
+_FEWEST = 1000
+_SAMPLE = 20_000
+"""Points whose nearest neighbours say how far points are apart."""
+_APART = 1.5
+"""Spacing of the thinned points, in distances of nearest neighbours."""
+_ROUND = 24
+"""Points that a normal is of."""
+_SIDE = 12
+"""Neighbours that are brought to one side."""
+_NEAR = 3.0
+"""Spacings from a point up to which the surface is kept: a hole twice as wide is closed."""
+_DEEPEST = 11
+_STEEP = 0.94
+"""Cosine of the angle to an axis up to which a normal looks along it."""
+_OVER = 1.5
+"""Times as many points of the usual axis that must lie in planes across another one."""
+_LOW = 0.3
+"""Share of the level points, from below, that are ground."""
+_LESS = 400_000
+"""Triangles of the surface, about."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cloud:
+    """Points in the axes and the unit of their file.
+
+    Attributes:
+        points: (N, 3) float64; finite.
+        normals: (N, 3) of unit length; None = the file has none.
+        colours: (N, 3) float64, 0 to 1; None = the file has none.
+        unread: what of the file was not read, in words.
+    """
+
+    points: Values
+    normals: Values | None
+    colours: Values | None
+    unread: tuple[str, ...]
+
+
+def is_cloud(source: Path) -> bool:
+    """Whether a file holds points and no faces; a PLY of Gaussians is a splat, and none.
+
+    Raises:
+        SceneError: a PLY cannot be read.
+    """
+    if source.suffix.lower() in LAS_SUFFIXES:
+        return True
+    if source.suffix.lower() != ".ply" or not source.is_file():
+        return False
+    ply = Ply.open(source)
+    names = _names(ply)
+    has_faces = any(len(ply.elements.get(one, ())) for one in ("face", "tristrips"))
+    is_splat = bool({"f_dc_0", "packed_position"} & names)
+    return {"x", "y", "z"} <= names and not has_faces and not is_splat
+
+
+def _names(ply: Ply) -> set[str]:
+    table = ply.elements.get("vertex")
+    return set() if table is None else set(table.dtype.names or ())
+
+
+def read_cloud(source: Path) -> Cloud:
+    """Read the points of a PLY, LAS or LAZ.
+
+    Raises:
+        SceneError: it is damaged, or has too few or too many points.
+        PrerequisiteError: the package that reads LAS is not installed.
+    """
+    try:
+        regular(source).stat()
+    except (OSError, ValueError) as error:  # A path with a zero byte is a ValueError.
+        reason = (isinstance(error, OSError) and error.strerror) or error
+        raise SceneError(f"{source}: the points cannot be read: {reason}") from None
+    cloud = _read_las(source) if source.suffix.lower() in LAS_SUFFIXES else _read_ply(source)
+    whole = np.isfinite(cloud.points).all(axis=1)
+    if cloud.normals is not None:
+        length = np.linalg.norm(cloud.normals, axis=1)
+        usable = np.isfinite(length) & (length > 0.5)
+        if usable.mean() < 0.99:
+            unread = (*cloud.unread, "its normals, of which some have no length")
+            cloud = replace(cloud, normals=None, unread=unread)
+        else:
+            whole &= usable
+            cloud = replace(cloud, normals=cloud.normals / np.maximum(length, 1e-9)[:, None])
+    count = int(whole.sum())
+    if count < _FEWEST:
+        raise SceneError(
+            f"{source}: a point cloud of {plural(count, 'point')}: too few for a surface",
+            fix=f"export it with {_FEWEST:,} points or more, or as a mesh",
+        )
+    return replace(
+        cloud,
+        points=cloud.points[whole],
+        normals=None if cloud.normals is None else cloud.normals[whole],
+        colours=None if cloud.colours is None else cloud.colours[whole],
+    )
+
+
+def _read_ply(source: Path) -> Cloud:
+    ply = Ply.open(source, most_rows={"vertex": _MOST})
+    table, names = ply.elements["vertex"], _names(ply)
+
+    def columns(*wanted: str) -> Values | None:
+        if not set(wanted) <= names:
+            return None
+        return np.stack([table[one].astype(np.float64) for one in wanted], axis=-1)
+
+    points, shades = columns("x", "y", "z"), columns("red", "green", "blue")
+    assert points is not None, "is_cloud says so"
+    if shades is not None:
+        kind = table.dtype["red"]
+        shades = np.clip(shades / (1.0 if kind.kind == "f" else float(np.iinfo(kind).max)), 0, 1)
+    known = {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha"}
+    return Cloud(
+        points=points,
+        normals=columns("nx", "ny", "nz"),
+        colours=shades,
+        unread=tuple(sorted(names - known)),
+    )
+
+
+def _read_las(source: Path) -> Cloud:
+    laspy = package("laspy")
+    read, points, names = None, np.zeros((0, 3)), set[str]()
+    try:
+        with laspy.open(source) as file:
+            count = int(file.header.point_count)
+            read: Any = file.read() if count <= _MOST else None
+        if read is not None:
+            points = np.stack([np.asarray(read[axis], np.float64) for axis in "xyz"], axis=-1)
+            names = {str(name) for name in read.point_format.dimension_names}
+    except Exception as error:
+        raise SceneError(
+            f"{source}: no point cloud can be read in it: {type(error).__name__}: {error}",
+            fix="export it again, as LAS 1.2 to 1.4 or LAZ",
+        ) from error
+    if read is None:
+        raise SceneError(f"{source}: {count:,} points", fix=f"thin it below {_MOST:,}")
+    colours = None
+    if {"red", "green", "blue"} <= names:
+        shades = np.stack([np.asarray(read[one], np.float64) for one in ("red", "green", "blue")])
+        # 16 bits by the standard; many programs write 8.
+        most = float(shades.max(initial=0.0))
+        colours = shades.T / (65535.0 if most > 255.0 else 255.0) if most > 0.0 else None
+    return Cloud(points=points, normals=None, colours=colours, unread=())
+
+
+def surfaced(source: Path, up: str) -> tuple[PaintedMesh, list[str]]:
+    """Return a surface through the points of a file, in its axes and unit, and what is said of it.
+
+    The same file gives the same bytes.
+
+    Args:
+        source: a file that `is_cloud`.
+        up: axis of the file that is up, such as `+z`, or `auto`: then the one that most level
+            surfaces lie across, and +z in doubt.
+
+    Raises:
+        SceneError: it is damaged, or no surface can be drawn through it.
+        PrerequisiteError: Open3D, or the package that reads LAS, is not installed.
+    """
+    cloud = read_cloud(source)
+    o3d = package("open3d")
+    # Coordinates of surveys are millions of metres, and Open3D's surface has single precision.
+    middle = np.median(cloud.points, axis=0)
+    whole = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points - middle))
+    if cloud.colours is not None:
+        whole.colors = o3d.utility.Vector3dVector(cloud.colours)
+    if cloud.normals is not None:
+        whole.normals = o3d.utility.Vector3dVector(cloud.normals)
+    thinned, spacing = _thinned(whole)
+    if len(thinned.points) < _FEWEST:
+        places = plural(len(thinned.points), "place")
+        raise SceneError(
+            f"{source}: its {len(cloud.points):,} points lie in {places}: too few for a surface",
+            fix="export it denser, or as a mesh",
+        )
+    if cloud.normals is None:
+        thinned.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_ROUND))
+        thinned.orient_normals_consistent_tangent_plane(_SIDE)
+        _to_the_open(thinned, o3d, up)
+    mesh = _poisson(thinned, spacing, o3d)
+    vertices = np.asarray(mesh.vertices).astype(np.float64) + middle
+    faces = np.asarray(mesh.triangles).astype(np.int64)
+    if not len(faces):
+        raise SceneError(
+            f"{source}: no surface can be drawn through its points",
+            fix="export the scan as a mesh",
+        )
+    colours = None
+    if cloud.colours is not None:
+        colours = np.clip(np.asarray(mesh.vertex_colors), 0.0, 1.0).astype(np.float32)[faces]
+    lines = [
+        (
+            f"a surface was drawn through {len(cloud.points):,} points, {spacing:.3g} units apart: "
+            f"holes of up to {2 * _NEAR * spacing:.2g} units are closed, edges are rounded off; a "
+            "mesh of the same app, if it exports one, is sharper"
+        ),
+        *([] if not cloud.unread else [f"not read of the points: {', '.join(cloud.unread)}"]),
+    ]
+    painted = PaintedMesh(
+        vertices=vertices,
+        faces=faces,
+        colours=colours,
+        uv=None,
+        material=np.zeros(len(faces), np.int32),
+        materials=(Material(),),
+        findings=(),
+    )
+    return painted, lines
+
+
+def _thinned(cloud: Any) -> tuple[Any, float]:
+    """Return a cloud with even spacing, and that."""
+    points = np.asarray(cloud.points)
+    tree = package("scipy.spatial").cKDTree(points)
+    sample = points[:: max(1, len(points) // _SAMPLE)]
+    nearest = tree.query(sample, 2)[0][:, 1]
+    apart = float(np.median(nearest[nearest > 0.0])) if (nearest > 0.0).any() else 0.0
+    extent = float(np.ptp(points, axis=0).max())
+    spacing = max(_APART * apart, extent / 2**_DEEPEST, 1e-9)
+    thinned = cloud.voxel_down_sample(spacing)
+    while len(thinned.points) > _THINNED:
+        spacing *= 1.2
+        thinned = cloud.voxel_down_sample(spacing)
+    return thinned, spacing
+
+
+def _to_the_open(cloud: Any, o3d: Any, up: str) -> None:
+    """Turn all normals over if the ground's point down: the lowest level points are ground."""
+    normals, points = np.asarray(cloud.normals), np.asarray(cloud.points)
+    if up == "auto":
+        along = (np.abs(normals) >= _STEEP).mean(axis=0)
+        best = int(np.argmax(along))
+        axis = best if along[best] > _OVER * along[2] else 2
+        sign = 1.0
+    else:
+        axis, sign = "xyz".index(up[1]), 1.0 if up[0] == "+" else -1.0
+    level = np.abs(normals[:, axis]) >= _STEEP
+    if not level.any():
+        return
+    heights = sign * points[level, axis]
+    low = heights <= np.quantile(heights, _LOW)
+    if float(np.sign(sign * normals[level, axis])[low].sum()) < 0.0:
+        cloud.normals = o3d.utility.Vector3dVector(-normals)
+
+
+def _poisson(cloud: Any, spacing: float, o3d: Any) -> Any:
+    """Return the surface near the points, of about `_LESS` triangles."""
+    points = np.asarray(cloud.points)
+    extent = 1.1 * float(np.ptp(points, axis=0).max())
+    depth = min(max(int(np.ceil(np.log2(extent / spacing))), 4), _DEEPEST)
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
+            cloud, depth=depth, scale=1.1, linear_fit=True, n_threads=1
+        )
+    tree = package("scipy.spatial").cKDTree(points)
+    far = tree.query(np.asarray(mesh.vertices))[0] > _NEAR * spacing
+    mesh.remove_vertices_by_mask(far)
+    most = min(_LESS, MESH_FACES)
+    if len(mesh.triangles) > most:
+        mesh = mesh.simplify_quadric_decimation(most)
+    mesh.remove_duplicated_vertices().remove_duplicated_triangles()
+    return mesh.remove_degenerate_triangles().remove_unreferenced_vertices()
