@@ -20,8 +20,8 @@ from nw_base.errors import SceneError
 from nw_base.words import Task
 from nw_scenes.mesh import TriangleMesh
 from nw_scenes.rays import RayScene
-from nw_scenes.scene import Scene, Spawn, Vector
-from nw_sim.survey.ground import room_behind
+from nw_scenes.scene import Spawn, Vector
+from nw_sim.survey.ground import holes_along
 from nw_sim.tasks.course import REACH_RADIUS
 from nw_twin.course_profile import (
     STEP,
@@ -284,22 +284,15 @@ def _arriving(
     Raises:
         SceneError: as `_stands`.
     """
-    rays, arrive = RayScene(mesh), length + _MARGIN
+    arrive = length + _MARGIN
     first = stands = _stands(profile, features, end, length)
     while stands[-1] > first[-1] - 2.0 * arrive:
-        course = Scene(
-            name="course",
-            task="hurdles",
-            title="",
-            solids=(),
-            trail=np.array([_point(profile, stand) for stand in stands]),
-            static_mesh=mesh,
-            splat=None,
-            spawn=_spawn(profile),
-        )
-        room = room_behind(course, rays, half_width, arrive)
-        if room >= arrive:
+        trail = np.array([_point(profile, stand) for stand in stands])
+        holes, long = holes_along(mesh, _spawn(profile), trail, half_width, arrive)
+        behind = holes[holes > long]
+        if not len(behind):
             return stands, True
+        room = float(behind[0]) - long
         end = stands[-1] - max(STEP, arrive - room)
         try:
             stands = _stands(profile, features, end, length)

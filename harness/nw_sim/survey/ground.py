@@ -18,7 +18,7 @@ from nw_base.words import Task
 from nw_scenes.finding import Code, SceneFinding, Severity
 from nw_scenes.mesh import TriangleMesh
 from nw_scenes.rays import RayScene
-from nw_scenes.scene import Scene, Triangles
+from nw_scenes.scene import Scene, Spawn, Triangles
 from nw_sim.physics.batch import drop_balls, solid_heights
 from nw_sim.survey.course import CourseSamples, course_samples
 
@@ -137,22 +137,36 @@ def _corridor(samples: CourseSamples, half_width: float) -> tuple[Values, float]
     return samples.points[:, None, :2] + sides[:, None] * samples.left[:, None], reach
 
 
-def room_behind(scene: Scene, rays: RayScene, half_width: float, most: float) -> float:
-    """Return how far the mesh has ground behind a course's last waypoint, where feet go, m.
+def holes_along(
+    mesh: TriangleMesh, spawn: Spawn, trail: Values, half_width: float, beyond: float
+) -> tuple[Values, float]:
+    """Return where along a course the mesh has a hole as wide as a foot, where feet go.
 
     Args:
-        scene: whose course.
-        rays: of its mesh.
+        mesh: in metres, z up.
+        spawn: the start.
+        trail: (K, 3) waypoints, m.
         half_width: of the corridor, m, as `survey_ground` has it.
-        most: how far to look, m.
+        beyond: how far behind the last waypoint to look, m.
+
+    Returns:
+        m along the course, ascending, negative behind the start; and the length of the course, m.
     """
-    samples = course_samples(scene, SPACING, beyond=most, most=_MOST)
-    end = float(course_samples(scene, 1.0).along[-1])
+    scene = Scene(
+        name="course",
+        task="open",
+        title="",
+        solids=(),
+        trail=trail,
+        static_mesh=mesh,
+        splat=None,
+        spawn=spawn,
+    )
+    samples = course_samples(scene, SPACING, behind=_BEHIND, beyond=beyond, most=_MOST)
     xy, _ = _corridor(samples, half_width)
-    seen = rays.height(xy.reshape(-1, 2), z_from=np.repeat(samples.above, xy.shape[1]))
-    there = (seen > np.repeat(samples.points[:, 2] - _DEEP, xy.shape[1])).reshape(xy.shape[:2])
-    holes = samples.along[_foot_sized(~there).any(axis=1) & (samples.along > end)]
-    return min(most, float(holes[0]) - end) if len(holes) else most
+    above, low = (np.repeat(z, xy.shape[1]) for z in (samples.above, samples.points[:, 2] - _DEEP))
+    there = (RayScene(mesh).height(xy.reshape(-1, 2), z_from=above) > low).reshape(xy.shape[:2])
+    return samples.along[_foot_sized(~there).any(axis=1)], float(samples.along[-1]) - beyond
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -32,8 +32,10 @@ from nw_scenes.mesh_file import MESH_SUFFIXES, PaintedMesh, read_painted, unread
 from nw_scenes.mesh_parts import Material
 from nw_scenes.rays import RayScene
 from nw_scenes.saving import COLLISION, rounded, write_collision, write_yaml
+from nw_scenes.scene import Spawn
 from nw_scenes.surface import Surface
 from nw_sim.survey import footing_lines, survey_lines
+from nw_sim.survey.ground import holes_along
 from nw_twin.place import SUITE, Route, check_scene_name, moved_points
 from nw_twin.scans.looks import write_looks
 from nw_twin.scans.points import LAS_SUFFIXES, is_cloud, surfaced
@@ -73,6 +75,9 @@ _INCLINED = math.radians(8.0)
 """Of the ground at the start, from which on it is said; beyond 20 degrees no robot starts there."""
 _LONGEST, _BEHIND = 4.0, 0.7
 """Of a proposed course, and of the ground behind its end and before its start; metres."""
+_FEET, _TRIED, _HOLED = 0.195, 8, 20.0
+"""Half the width of a Go1 as it stands, metres; ways of one heading that are looked at for holes;
+and what a hole costs, in half metres of course."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -616,13 +621,21 @@ def _proposed(mesh: TriangleMesh) -> tuple[Values, float] | None:
         off = np.clip(2.0 * (off / _ON_FLOOR - 1.0), 0.0, 6.0)
         score = np.floor(reach / 0.5) - 2.0 * bumps - off
         score -= 1e-3 * away + 1e-2 * (turn % 4 != 0)
-        i = int(score.argmax())
-        if reach[i] < 1.0 or (best is not None and score[i] <= best[0]):
-            continue
-        length = min(float(reach[i]), _LONGEST)
-        count = max(int(length // 1.0), 1)
-        places = np.concatenate([[0.0], np.linspace(length / count, length, count)])
-        rows = first + np.round(places / _STRIDE).astype(np.int64)
-        points = np.column_stack([xy[i, rows, 1], z[i, rows, 1]])
-        best = (float(score[i]), float(reach[i]), points, yaw)
+        for i in np.argsort(-score, kind="stable")[:_TRIED].tolist():
+            worth = float(score[i])
+            if reach[i] < 1.0 or (best is not None and worth <= best[0]):
+                break
+            length = min(float(reach[i]), _LONGEST)
+            count = max(int(length // 1.0), 1)
+            places = np.concatenate([[0.0], np.linspace(length / count, length, count)])
+            rows = first + np.round(places / _STRIDE).astype(np.int64)
+            points = np.column_stack([xy[i, rows, 1], z[i, rows, 1]])
+            spawn = Spawn(position=(*points[0].tolist(),), yaw=yaw)
+            holes, _ = holes_along(mesh, spawn, points[1:], _FEET, _BEHIND)
+            # A course without holes is better, however short.
+            worth -= _HOLED if len(holes) else 0.0
+            if best is None or worth > best[0]:
+                best = (worth, float(reach[i]), points, yaw)
+            if not len(holes):
+                break
     return None if best is None else (best[2], best[3])
