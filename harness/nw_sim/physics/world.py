@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from nw_scenes.robots import RobotSpec
     from nw_scenes.robots.spec import ImuMount
     from nw_scenes.scene import Scene
+    from nw_sim.tasks import StartPose
 
 Array = npt.NDArray[np.float64]
 
@@ -173,6 +174,19 @@ class World(Body):
         self.start_yaw = yaw
         mujoco.mj_forward(self._model, data)
         # Nothing has been sensed before the first step.
+        self._forces = self._read_forces(np.zeros(len(self.robot.feet), dtype=np.bool_))
+        check(data, self.time)
+
+    def begin(self, pose: StartPose) -> None:
+        """Put the robot into a pose, moving, after a `reset`; servos steer to its joints."""
+        self._require_open()
+        data = self._data
+        data.qpos[self._place], data.qpos[self._turn] = pose.position, pose.quat
+        data.qpos[self._joints] = pose.joint_positions
+        data.qvel[self._linear], data.qvel[self._angular] = pose.velocity, pose.rates
+        data.qvel[self._joint_rates] = pose.joint_velocities
+        data.ctrl[:] = np.where(self._holds_pose, pose.joint_positions, 0.0)
+        mujoco.mj_forward(self._model, data)
         self._forces = self._read_forces(np.zeros(len(self.robot.feet), dtype=np.bool_))
         check(data, self.time)
 

@@ -26,6 +26,7 @@ from nw_sim.rollout.fault import extension_at_fault, policy_at_fault
 from nw_sim.rollout.job import StageClock
 from nw_sim.rollout.library import Library
 from nw_sim.rollout.perturbed import TrialSetup, perturbed, pushes_of, standing_cones
+from nw_sim.rollout.referenced import reference_of
 from nw_sim.rollout.scored import ScoreMeter
 from nw_sim.sensors import build_sensors
 from nw_sim.tasks import TaskRules, open_task
@@ -95,6 +96,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             duration=job.duration,
             control_period=world.control_period,
             contact_termination=job.contact_termination,
+            reference=None if bundle.motion is None else reference_of(bundle, world, card),
         )
         with extension_at_fault():
             task = open_task(job.task, rules)
@@ -108,6 +110,8 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             policy.reset(_seed(trial.seed_sequence("policy")))
         height = scene.spawn.position[2] + robot.spawn_height
         world.reset(position=(start.x, start.y, height), yaw=start.yaw)
+        if start.pose is not None:
+            world.begin(start.pose)
         sensors = build_sensors(
             card,
             world,
