@@ -13,7 +13,7 @@ them. Which of the orders it is follows from the poses of its bodies.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,5 +96,4 @@ def checked_motion(motion: MotionFile, where: str) -> MotionFile:
             f"{norms[frame, body]:.3g}, and a quaternion has 1",
             fix="check which columns hold the quaternion",
         )
-    values = {key: value for key, value in vars(motion).items() if key != "quats"}
-    return MotionFile(**values, quats=motion.quats / norms[..., np.newaxis])
+    return replace(motion, quats=motion.quats / norms[..., np.newaxis])

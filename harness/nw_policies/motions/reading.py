@@ -13,6 +13,7 @@ import json
 import math
 import zipfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -238,20 +239,23 @@ def _onnx(data: bytes, where: str) -> MotionFile:
             f"{where}: no motion can be read in it: {clean(error, at_most=200)}", fix=_FIX
         ) from None
     tables = {name: table for name in graph.outputs if (table := _table(graph, name)) is not None}
-    names = _listed(metadata.get("joint_names") or metadata.get("dof_names") or "")
     if "ref_pos_xyz" in tables:  # holosoma: of the anchor alone.
         _require(tables, ("joint_pos", "joint_vel", "ref_quat_xyzw"), where)
         motion = _of_root(None, tables["ref_pos_xyz"], tables["ref_quat_xyzw"], tables["joint_pos"])
-        values = {**vars(motion), "is_of_anchor": True}
     else:
         _require(tables, ("joint_pos", "joint_vel", "body_pos_w", "body_quat_w"), where)
-        values: dict[str, Any] = {
-            "rate": None,
-            "joint_positions": tables["joint_pos"],
-            "positions": tables["body_pos_w"],
-            "quats": tables["body_quat_w"],
-        }
-    return MotionFile(**{**values, "joints": names, "joint_velocities": tables["joint_vel"]})
+        motion = MotionFile(
+            rate=None,
+            joint_positions=tables["joint_pos"],
+            positions=tables["body_pos_w"],
+            quats=tables["body_quat_w"],
+        )
+    return replace(
+        motion,
+        joints=_listed(metadata.get("joint_names") or metadata.get("dof_names") or ""),
+        joint_velocities=tables["joint_vel"],
+        is_of_anchor="ref_pos_xyz" in tables,
+    )
 
 
 def _table(graph: Graph, name: str) -> Array | None:
