@@ -56,6 +56,7 @@ __all__ = [
     "TaskFault",
     "TaskRules",
     "TaskSettings",
+    "TrackSettings",
     "fault_of",
     "open_task",
     "task_kinds",
