@@ -135,7 +135,7 @@ class Outgoing:
 
 
 def _policy_files(bundle: Bundle, card_path: Path) -> dict[str, Path]:
-    """Return card, weights and motion by their names; with Python code, all that lies below the folder.
+    """Return card, weights and motion by name; with Python code, all that lies below the folder.
 
     Code may read whatever lies beside it, and its digest is that of the whole folder.
     """

@@ -469,6 +469,30 @@ class World(Body):
             return self._looks.cast(self._data, origins, directions, exclude_body=body)
         return cast_at_visuals(self._model, self._data, origins, directions, exclude_body=body)
 
+    def ray_ghost(
+        self,
+        pose: tuple[Array, Array, Array],
+        origin: Array,
+        directions: Array,
+    ) -> Array:
+        """Cast rays at what the robot would look like in another pose.
+
+        Args:
+            pose: position (3,) m and quaternion (4,) of the trunk, and (J,) rad.
+            origin: (3,) of all rays, world frame.
+            directions: (N, 3) unit vectors, world frame.
+
+        Returns:
+            Distances (N,) m; inf where nothing is.
+        """
+        self._require_open()
+        data = mujoco.MjData(self._model)
+        data.qpos[self._place], data.qpos[self._turn], data.qpos[self._joints] = pose
+        mujoco.mj_kinematics(self._model, data)
+        if self.robot.pictured == "visuals":
+            return self._looks.cast(data, origin, directions, exclude_body=-1).distance
+        return cast_at_visuals(self._model, data, origin, directions).distance
+
     @property
     def geom_rgba(self) -> npt.NDArray[np.float32]:
         """Colour of all that rays can meet of the robot, (G, 4), for `RobotRays.geom`."""

@@ -26,7 +26,6 @@ from nw_sim.rollout.fault import extension_at_fault, policy_at_fault
 from nw_sim.rollout.job import StageClock
 from nw_sim.rollout.library import Library
 from nw_sim.rollout.perturbed import TrialSetup, perturbed, pushes_of, standing_cones
-from nw_sim.rollout.referenced import reference_of
 from nw_sim.rollout.scored import ScoreMeter
 from nw_sim.sensors import build_sensors
 from nw_sim.tasks import TaskRules, open_task
@@ -96,7 +95,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             duration=job.duration,
             control_period=world.control_period,
             contact_termination=job.contact_termination,
-            reference=None if bundle.motion is None else reference_of(bundle, world, card),
+            reference=library.motion(bundle, world, card),
         )
         with extension_at_fault():
             task = open_task(job.task, rules)

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nw_base.errors import PolicyError
+from nw_base.errors import PolicyError, StoreError
+from nw_base.memory import pack, unpack
 from nw_base.plural import plural
 from nw_policies.cards import JointControl
 from nw_policies.cards.joints import short_name
@@ -74,7 +75,6 @@ class _Fitting:
         self._motion, self._world, self._card, self._where = motion, world, card, where
         self._said = card.reference
         self._robot = world.robot
-        self._anchor = self._said.anchor or self._robot.root
         control = JointControl.from_card(card, self._robot)
         self._pose = np.empty(len(self._robot.joints))
         self._pose[control.order] = control.default_pose
@@ -106,21 +106,7 @@ class _Fitting:
             )
         if rates is None:
             rates = np.gradient(angles, step, axis=0)
-        names = self._said.bodies or self._robot.bodies
-        parents = self._world.hangs_on()
-        positions, quats = self._world.kinematics(root, angles, (*names, self._anchor))
-        return Reference(
-            joint_positions=angles,
-            joint_velocities=rates,
-            root=np.concatenate([root, _velocities(root, step)], axis=1),
-            bodies=tuple(names),
-            positions=positions[:, :-1],
-            quats=quats[:, :-1],
-            anchor=self._anchor,
-            anchor_positions=positions[:, -1],
-            anchor_quats=quats[:, -1],
-            ends=tuple(k for k, name in enumerate(names) if _is_end(name, names, parents)),
-        )
+        return _on_robot(angles, rates, root, self._world, self._card)
 
     def _joints(self) -> tuple[Array, Array | None]:
         """Return angles (T, J), rad, and rates, rad/s, of the robot's joints in its order."""
@@ -206,11 +192,63 @@ class _Fitting:
         """Return the poses of the robot's root, (T, 7)."""
         positions, quats = self._motion.positions[:, 0], self._motion.quats[:, 0]
         if self._motion.is_of_anchor:
+            anchor = self._said.anchor or self._robot.root
             still = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(angles), 1))
-            off, turn = self._world.kinematics(still, angles, (self._anchor,))
+            off, turn = self._world.kinematics(still, angles, (anchor,))
             quats = product(quats, conjugate(turn[:, 0]))
             positions = positions - turned(quats, off[:, 0])
         return np.concatenate([positions, quats], axis=1)
+
+
+def _on_robot(angles: Array, rates: Array, root: Array, world: World, card: Card) -> Reference:
+    """Return a motion whose frames are control steps, with the poses of the robot's bodies."""
+    assert card.reference is not None
+    anchor = card.reference.anchor or world.robot.root
+    names, parents = card.reference.bodies or world.robot.bodies, world.hangs_on()
+    positions, quats = world.kinematics(root, angles, (*names, anchor))
+    return Reference(
+        joint_positions=angles,
+        joint_velocities=rates,
+        root=np.concatenate([root, _velocities(root, world.control_period)], axis=1),
+        bodies=tuple(names),
+        positions=positions[:, :-1],
+        quats=quats[:, :-1],
+        anchor=anchor,
+        anchor_positions=positions[:, -1],
+        anchor_quats=quats[:, -1],
+        ends=tuple(k for k, name in enumerate(names) if _is_end(name, names, parents)),
+    )
+
+
+def packed_motion(motion: Reference) -> bytes:
+    """Return a motion as a log keeps it, for `unpacked_motion`: joints, rates, and the root."""
+    return pack(
+        {
+            "angles": motion.joint_positions,
+            "rates": motion.joint_velocities,
+            "root": np.ascontiguousarray(motion.root[:, :7]),
+        }
+    )
+
+
+def unpacked_motion(data: bytes, world: World, card: Card, where: str) -> Reference:
+    """Return the motion that a log keeps, on its robot.
+
+    Raises:
+        StoreError: the log has none, or one of another robot.
+    """
+    try:
+        arrays = unpack(data)
+        parts = [arrays[name].astype(np.float64) for name in ("angles", "rates", "root")]
+        joints = len(world.robot.joints)
+        shapes = [(len(parts[0]), size) for size in (joints, joints, 7)]
+        if [part.shape for part in parts] != shapes or len(parts[0]) < 2:
+            raise ValueError(f"arrays of {[part.shape for part in parts]}")  # noqa: TRY301
+    except (KeyError, ValueError) as error:
+        raise StoreError(
+            f"{where} holds no motion that can be read: {error}", fix="run the trial again"
+        ) from None
+    return _on_robot(parts[0], parts[1], parts[2], world, card)
 
 
 def _is_end(name: str, names: Sequence[str], parents: dict[str, str]) -> bool:
