@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _LOOKED_AT = 5
 """Frames at which orders of joints are compared."""
-_OTHER_ROBOT = 0.1
+_OTHER_ROBOT = 0.05
 """m by which bodies of the file may lie beside the robot's on average."""
 _CLEARLY = 0.005
 """m by which another order must be better than the robot's own."""

@@ -45,7 +45,7 @@ class Lost(TaskPart):
     """By which the upright part of the anchor's z axis may differ, which is 1 upright and 0 lying.
     """
     ends: float = Field(default=0.25, gt=0.0, le=10.0)
-    """m by which an end effector may be higher or lower, seen from the anchor."""
+    """m by which an end effector may be higher or lower than the motion's."""
 
 
 class TrackSettings(TaskSettings):
