@@ -146,13 +146,15 @@ def write_card_draft(
         *control_lines(facts.exporter, robot, frame, clip=network.clip if network else None),
         "",
         *body,
-        *_reference(facts, motions, folder),
+        *_reference(facts, robot, motions, folder),
         *other_layouts(parts, robot),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _reference(facts: CheckpointFacts, motions: Sequence[str], folder: Path | None) -> list[str]:
+def _reference(
+    facts: CheckpointFacts, robot: RobotSpec, motions: Sequence[str], folder: Path | None
+) -> list[str]:
     """Return the lines of the motion that the policy tracks; none where nothing speaks of one."""
     known = facts.exporter or ExporterMetadata()
     words = [
@@ -162,7 +164,7 @@ def _reference(facts: CheckpointFacts, motions: Sequence[str], folder: Path | No
     ]
     if not tracks(facts, known, words):
         return []
-    return ["", *reference_lines(facts, known, motions, _file_below(facts, folder)[0])]
+    return ["", *reference_lines(facts, known, robot, motions, _file_below(facts, folder)[0])]
 
 
 _ACTIVATIONS = {"leakyrelu": "leaky_relu", "lrelu": "leaky_relu", "swish": "silu"}

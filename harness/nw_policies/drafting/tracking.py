@@ -13,6 +13,7 @@ from pathlib import Path
 from nw_base.files.inside import what_is
 from nw_policies.drafting.checkpoint import CheckpointFacts, ExporterMetadata
 from nw_policies.drafting.notation import CHECK, plain, quoted
+from nw_scenes.robots import RobotSpec
 
 MOTION_COMMAND = "motion_command"
 """The term that shows joint positions and velocities of the motion."""
@@ -33,6 +34,7 @@ TABLES = frozenset(
 )  # fmt: skip
 """Outputs of such checkpoints that are no actions."""
 AHEAD = "ahead: [1]  # trainings show the frame that the next step is to reach"
+_TORSO = "torso_link"
 _SUFFIXES = (".npz", ".csv", ".pkl")
 _MOST = 200
 
@@ -64,13 +66,18 @@ def tracks(facts: CheckpointFacts, known: ExporterMetadata, words: Collection[st
 
 
 def reference_lines(
-    facts: CheckpointFacts, known: ExporterMetadata, motions: Sequence[str], own: str
+    facts: CheckpointFacts,
+    known: ExporterMetadata,
+    robot: RobotSpec,
+    motions: Sequence[str],
+    own: str,
 ) -> list[str]:
     """Return the lines of `reference`.
 
     Args:
         facts: of the checkpoint.
         known: what is known of it.
+        robot: that the policy drives.
         motions: from `motions_beside`.
         own: the checkpoint's path below the card's folder.
     """
@@ -92,7 +99,7 @@ def reference_lines(
             lines.append(f"  rate: {int(rate[1])}  {CHECK} frames a second, by the file's name")
         elif motion:
             lines.append(f"  rate: 30  {CHECK} frames a second; LAFAN1 has 30")
-    anchor = known.anchor or "torso_link"
+    anchor = known.anchor or (_TORSO if _TORSO in robot.bodies else robot.root)
     note = "" if known.anchor else f"  {CHECK} the body whose pose it compares"
     lines.append(f"  anchor: {plain(anchor)}{note or _source(known, 'anchor')}")
     if known.bodies:
