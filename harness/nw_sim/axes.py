@@ -22,10 +22,12 @@ from pydantic import (
     ConfigDict,
     Field,
     ModelWrapValidatorHandler,
+    SerializerFunctionWrapHandler,
     TypeAdapter,
     ValidationError,
     ValidationInfo,
     create_model,
+    model_serializer,
     model_validator,
 )
 from pydantic_core import InitErrorDetails
@@ -43,9 +45,9 @@ if TYPE_CHECKING:
 CONTROL_STEP = 0.02
 """Seconds between two looks at the robot, which latencies are whole numbers of."""
 
-Felt = Literal["always", "camera", "splat_rgb", "cones"]
-"""What a policy must have to feel an axis: nothing, a camera, a colour camera, or a camera that
-shows the cones of the course."""
+Felt = Literal["always", "camera", "splat_rgb", "cones", "command"]
+"""What must be there for an axis to change anything: nothing, a camera of the policy, a colour
+camera, a camera that shows the cones of the course, or a velocity command of the suite's task."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +70,7 @@ class Axis:
         nominal: default value when the axis has no neutral one (`neutral` is None).
         slider: least value, greatest value and step of the slider in `nw-eval view`; `low`, `high`
             and a hundredth of their distance if None.
-        felt_by: what a policy must have to feel it.
+        felt_by: what policy or task must have for it to change anything.
 
     Raises:
         ValueError: the figures do not fit one another.
@@ -276,10 +278,38 @@ _ALL = (
         felt_by="cones",
         change=lambda setup, value: setup.replaced(missing_cones=value),
     ),
+    Axis(
+        name="speed",
+        description="Commanded speed forwards, m/s, at all times, in place of the command of the "
+        "suite's task.",
+        unit="m/s",
+        neutral=None,  # The suite's own command.
+        nominal=0.5,
+        low=-5.0,
+        high=5.0,
+        slider=(0.0, 2.0, 0.05),
+        felt_by="command",
+        change=lambda setup, value: setup.commanding(vx=value),
+    ),
+    Axis(
+        name="turn_rate",
+        description="Commanded turn rate to the left, rad/s, at all times, in place of the command "
+        "of the suite's task.",
+        unit="rad/s",
+        neutral=None,
+        nominal=0.5,
+        low=-5.0,
+        high=5.0,
+        slider=(-2.0, 2.0, 0.05),
+        felt_by="command",
+        change=lambda setup, value: setup.commanding(yaw=value),
+    ),
 )
 
 AXES = MappingProxyType({axis.name: axis for axis in _ALL})
 """Those that are built in, by name."""
+COMMANDED = MappingProxyType({"speed": "vx", "turn_rate": "yaw"})
+"""Those that replace a part of the commanded velocity, and which."""
 
 
 def axis_names() -> tuple[str, ...]:
@@ -384,6 +414,13 @@ class _Grid(BaseModel):
             if not wrong:
                 return grid
         raise ValidationError.from_exception_data(cls.__name__, wrong)
+
+    @model_serializer(mode="wrap")
+    def _without_commands(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # A suite without them keeps the digest that it had before there were such axes.
+        return {
+            axis: values for axis, values in write(self).items() if values or axis not in COMMANDED
+        }
 
     @classmethod
     def other_keys(cls) -> set[str]:

@@ -2,8 +2,7 @@
 
 A ladder is a built-in family of scenes (`hurdles/bar`, `hurdles/bar~1` in its second setting), a
 folder with a `ladder.yaml`, one of an installed package (entry-point group `nw_eval.ladders`), or
-an axis of perturbation or a command on a fixed scene (`hurdles/three_low+payload`,
-`open/field+speed`).
+an axis of perturbation on a fixed scene (`hurdles/three_low+payload`, `open/field+speed`).
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from nw_base.plugins import LADDERS, installed
 from nw_places.entries import parted
 from nw_places.ladders import FAMILIES, Family, steps, told
 from nw_scenes.ladder_file import FolderLadder, is_ladder, load_ladder
-from nw_sim.axes import Axis, axis_named, is_axis
+from nw_sim.axes import COMMANDED, Axis, axis_named, is_axis
 from nw_sim.catalogue import plugged_ladder, references
 
 Harder = Literal["up", "down"]
@@ -38,17 +37,11 @@ _AXES: Mapping[str, tuple[float, ...]] = MappingProxyType(
         "fog": steps(0.0, 1.3, 0.1),
         "exposure": steps(1.0, 0.09, 0.07),
         "strength": steps(1.0, 0.35, 0.05),
+        "speed": steps(0.2, 1.5, 0.1),
+        "turn_rate": steps(0.1, 1.4, 0.1),
     }
 )
 """Published values of axes, from easy to hard."""
-
-_COMMANDS: Mapping[str, tuple[str, str, str, tuple[float, ...]]] = MappingProxyType(
-    {
-        "speed": ("vx", "commanded speed forwards", "m/s", steps(0.2, 1.5, 0.1)),
-        "turn_rate": ("yaw", "commanded turn rate to the left", "rad/s", steps(0.1, 1.4, 0.1)),
-    }
-)
-"""Key of the task's constant command, parameter, unit and values, by name."""
 
 FIXED = "hurdles/one_low_carpet"
 """The scene of listed ladders of perturbations; any other may be named."""
@@ -64,14 +57,11 @@ class Rung:
         value: of the ladder's parameter.
         scene: what a suite names.
         perturbation: axes with their values, a cell of `perturb`; empty for a ladder of scenes.
-        command: keys and values of the constant command of a `velocity` task; empty for another
-            ladder. m/s, rad/s.
     """
 
     value: float
     scene: str
     perturbation: Cell = ()
-    command: Cell = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +90,11 @@ class Ladder:
     any_value: bool
     rungs: tuple[Rung, ...]
 
+    @property
+    def is_commanded(self) -> bool:
+        """Whether rungs are velocity commands, of the task `velocity`."""
+        return any(axis in COMMANDED for axis, _ in self.rungs[0].perturbation)
+
     def told(self, value: float) -> str:
         """Return a value with its unit for people; angles in degrees, too."""
         return told(value, self.unit)
@@ -115,8 +110,7 @@ def ladders() -> tuple[Ladder, ...]:
     return (
         *(_of_family(family, None) for family in FAMILIES.values()),
         *(ladder_named(name) for name in installed(LADDERS) if name not in FAMILIES),
-        *(_of_axis(FIXED, axis_named(name)) for name in _AXES),
-        *(_of_command(OPEN, name) for name in _COMMANDS),
+        *(_of_axis(OPEN if name in COMMANDED else FIXED, axis_named(name)) for name in _AXES),
     )
 
 
@@ -130,7 +124,7 @@ def ladder_named(name: str, base: Path | None = None) -> Ladder:
 
     Args:
         name: of a built-in ladder, with `~1` or `~2` in another setting; of a package's; a folder
-            with a `ladder.yaml`; or `SCENE+AXIS`, `SCENE+speed`, `SCENE+turn_rate`.
+            with a `ladder.yaml`; or `SCENE+AXIS`.
         base: folder that relative paths start from; the working folder by default.
 
     Raises:
@@ -147,13 +141,11 @@ def ladder_named(name: str, base: Path | None = None) -> Ladder:
     if is_ladder(folder):
         return _of_folder(name, load_ladder(folder))
     scene, plus, changed = name.rpartition("+")
-    if plus and (changed in _COMMANDS or is_axis(changed)):
+    if plus and is_axis(changed):
         scenes = references([scene], base)
         if len(scenes) != 1:
             message = f"ladder {name!r} is on {len(scenes)} scenes"
             raise SceneError(message, fix="name one scene before the +")
-        if changed in _COMMANDS:
-            return _of_command(scenes[0][0], changed)
         return _of_axis(scenes[0][0], axis_named(changed))
     known = [*FAMILIES, *installed(LADDERS), *(f"{FIXED}+{axis}" for axis in _AXES)]
     raise SceneError(
@@ -181,13 +173,6 @@ def _of_axis(scene: str, axis: Axis) -> Ladder:
     parameter = axis.name.replace("_", " ")
     title = f"{scene} with another {parameter}"
     return _ladder(f"{scene}+{axis.name}", title, parameter, axis.unit, rungs, any_value=True)
-
-
-def _of_command(scene: str, name: str) -> Ladder:
-    key, parameter, unit, values = _COMMANDS[name]
-    rungs = [Rung(value=value, scene=scene, command=((key, value),)) for value in values]
-    title = f"{scene} with another {parameter}"
-    return _ladder(f"{scene}+{name}", title, parameter, unit, rungs, any_value=True)
 
 
 def _towards_end(axis: Axis) -> tuple[float, ...]:

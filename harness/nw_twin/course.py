@@ -20,7 +20,8 @@ from nw_base.errors import SceneError
 from nw_base.words import Task
 from nw_scenes.mesh import TriangleMesh
 from nw_scenes.rays import RayScene
-from nw_scenes.scene import Spawn, Vector
+from nw_scenes.scene import Scene, Spawn, Vector
+from nw_sim.survey.ground import room_behind
 from nw_sim.tasks.course import REACH_RADIUS
 from nw_twin.course_profile import (
     STEP,
@@ -47,6 +48,8 @@ _CLEAR = REACH_RADIUS + 0.3
 A longer robot has its own length."""
 LENGTH = 0.55
 """Of a Go1 from nose to tail, metres."""
+HALF_WIDTH = 0.195
+"""Of a Go1 as it stands, metres."""
 _MARGIN = 0.05
 """Of ground behind the last waypoint, more than a robot's length, metres."""
 _FEET = np.linspace(-0.3, 0.3, 13)
@@ -105,7 +108,12 @@ class CourseProposal:
 
 
 def propose_course(
-    mesh: TriangleMesh, centres: Values, *, length: float = LENGTH, shown: Shown | None = None
+    mesh: TriangleMesh,
+    centres: Values,
+    *,
+    length: float = LENGTH,
+    half_width: float = HALF_WIDTH,
+    shown: Shown | None = None,
 ) -> CourseProposal:
     """Return a course along the way that the cameras went, over what lies there.
 
@@ -116,6 +124,7 @@ def propose_course(
         mesh: of the scene in metres, z up.
         centres: (V, 3) of the cameras in the order of the walk, in the same frame.
         length: of the robot from nose to tail, metres.
+        half_width: of the robot as it stands, metres.
         shown: where photographs show the ground; None if unknown.
 
     Raises:
@@ -124,11 +133,16 @@ def propose_course(
     """
     below = float(centres[:, 2].max())
     profile = ground_along(mesh, way_of(centres), below, shown)
-    return _proposed(mesh, profile, below, length)
+    return _proposed(mesh, profile, below, length, half_width)
 
 
 def propose_free_course(
-    mesh: TriangleMesh, centres: Values, *, length: float = LENGTH, shown: Shown | None = None
+    mesh: TriangleMesh,
+    centres: Values,
+    *,
+    length: float = LENGTH,
+    half_width: float = HALF_WIDTH,
+    shown: Shown | None = None,
 ) -> CourseProposal:
     """Return a course on the longest straight strip of level ground, wherever the cameras went.
 
@@ -140,7 +154,7 @@ def propose_free_course(
     """
     below = float(centres[:, 2].max())
     profile = ground_along(mesh, free_way(mesh, centres, below, shown), below)
-    return _proposed(mesh, profile, below, length, from_start=True)
+    return _proposed(mesh, profile, below, length, half_width, from_start=True)
 
 
 def _proposed(
@@ -148,6 +162,7 @@ def _proposed(
     profile: GroundProfile,
     below: float,
     length: float,
+    half_width: float,
     *,
     from_start: bool = False,
 ) -> CourseProposal:
@@ -158,7 +173,7 @@ def _proposed(
         features = features_of(profile, stretches_of(profile))
     along, whole = _soundness(mesh, profile, below, length + _MARGIN)
     end = _last(profile, along, whole, length + _MARGIN)
-    stands = _stands(profile, features, min(end, _LONGEST), length)
+    stands, arrives = _arriving(mesh, profile, features, min(end, _LONGEST), length, half_width)
     reached = [feature for feature in features if feature.start < stands[-1]]
     is_cut = end > _LONGEST and (stands[-1] > _LONGEST - STEP or len(reached) < len(features))
     features = reached
@@ -173,7 +188,7 @@ def _proposed(
         trail=tuple(_point(profile, stand) for stand in stands),
         features=tuple(features),
         warnings=_warnings(profile, features, end if is_cut else None),
-        whole=bool(whole[along <= stands[-1] + length].all()),
+        whole=arrives and bool(whole[along <= stands[-1] + length].all()),
     )
 
 
@@ -250,6 +265,47 @@ def _last(profile: GroundProfile, along: Values, whole: NDArray[np.bool_], arriv
     end = float(profile.along[-1])
     broken = along[(along > end - STEP / 2) & ~whole]
     return min(end, float(broken[0]) - arrive) if len(broken) else end
+
+
+def _arriving(
+    mesh: TriangleMesh,
+    profile: GroundProfile,
+    features: Sequence[CourseFeature],
+    end: float,
+    length: float,
+    half_width: float,
+) -> tuple[list[float], bool]:
+    """Return where along the way waypoints stand, as `_stands`, with room behind the last one.
+
+    The way bends and the course is straight between waypoints, so the ground that a robot arrives
+    on is looked at once more as the check of a scene looks at it. Where no end nearby has such
+    ground, the course keeps its length, and the second value is false.
+
+    Raises:
+        SceneError: as `_stands`.
+    """
+    rays, arrive = RayScene(mesh), length + _MARGIN
+    first = stands = _stands(profile, features, end, length)
+    while stands[-1] > first[-1] - 2.0 * arrive:
+        course = Scene(
+            name="course",
+            task="hurdles",
+            title="",
+            solids=(),
+            trail=np.array([_point(profile, stand) for stand in stands]),
+            static_mesh=mesh,
+            splat=None,
+            spawn=_spawn(profile),
+        )
+        room = room_behind(course, rays, half_width, arrive)
+        if room >= arrive:
+            return stands, True
+        end = stands[-1] - max(STEP, arrive - room)
+        try:
+            stands = _stands(profile, features, end, length)
+        except SceneError:
+            break
+    return first, False
 
 
 def _stands(

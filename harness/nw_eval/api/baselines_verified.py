@@ -1,7 +1,8 @@
-"""Verifying a baseline: its own policy runs some of its starts again, and rows that differ show."""
+"""Verifying a baseline: its own policy runs some of its trials again, and what differs shows."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,9 +14,10 @@ from nw_eval.api.renamed import keywords_were
 from nw_eval.engine.how import How
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from nw_eval.api.baselines import BaselineTarget
+    from nw_eval.engine.plan import Plan
     from nw_gate.results.baseline import BaselineResults
     from nw_gate.results.row import Row
 
@@ -62,7 +64,10 @@ def verify_baseline(
     policy: str | None = None,
     **changes: Any,
 ) -> VerifiedBaseline:
-    """Run starts of a baseline again by its own policy, and compare each with its row.
+    """Run initial states of a baseline again by its own policy, and compare each with its row.
+
+    Trials of its limits on ladders are drawn by the same share. Of these it is compared whether
+    they were completed, which is all that a baseline keeps of them.
 
     Nothing is reused from the cache of trials, and nothing is written into the project.
 
@@ -101,16 +106,29 @@ def verify_baseline(
     _check(saved, target)
     seed = unforeseen_seed() if seed is None else seed
     names = draw([trial.id for trial in target.plan.trials], sample, seed)
-    rows, interrupted = _run(target, names, how)
+    rows, interrupted = _run(target.plan, names, how)
     done = [row for row in rows if row.status == "ok"]
+    differing, drawn, ran = list(_differing(done, saved, target.machine)), len(names), len(done)
+    for plan, kept in () if interrupted else _kept_trials(target.plan, saved):
+        chosen = draw(list(kept), sample, seed)
+        of_ladder, interrupted = _run(plan, chosen, how)
+        again = [row for row in of_ladder if row.status == "ok"]
+        differing += [
+            f"{row.trial_id}: completed {kept[row.trial_id]} -> {row.completed}"
+            for row in again
+            if row.completed != kept[row.trial_id]
+        ]
+        rows, drawn, ran = (*rows, *of_ladder), drawn + len(chosen), ran + len(again)
+        if interrupted:
+            break
     return VerifiedBaseline(
         file=shown.file,
         baseline=saved,
         seed=seed,
-        drawn=len(names),
-        ran=len(done),
+        drawn=drawn,
+        ran=ran,
         has_panel=saved.panel_of(target.machine) is not None,
-        differing=_differing(done, saved, target.machine),
+        differing=tuple(differing),
         faults=tuple(
             f"{row.trial_id}: {row.error_type}: {row.error_text}"
             for row in rows
@@ -118,6 +136,38 @@ def verify_baseline(
         ),
         interrupted=interrupted,
     )
+
+
+def _kept_trials(plan: Plan, saved: BaselineResults) -> Iterator[tuple[Plan, dict[str, bool]]]:
+    """Yield the plan of each ladder's trials, and which of those that were kept were completed.
+
+    Raises:
+        IncomparableError: a limit is not one on this ladder, or of this suite.
+    """
+    from nw_eval.api.ladder_runs import ladder_plan_of_run, rung_cells
+    from nw_eval.api.limit_gates import MOST_SAVED, is_of
+    from nw_gate.limits.limit import Limit
+    from nw_sim.ladders import ladder_named
+
+    for name, limit in saved.manifest.limits.items():
+        if name not in plan.suite.gate.limits:  # The suite no longer asks for it.
+            continue
+        family = ladder_named(name, plan.suite.base)
+        own = ladder_plan_of_run(family, plan, MOST_SAVED)
+        scenes = {scene.name: scene.digest for scene in own.scenes}
+        if not is_of(limit, own.suite, scenes, name, plan.suite.gate):
+            raise IncomparableError(
+                f"the limit of {name} in baseline {saved.manifest.name} is of another ladder or of "
+                "other rules than the suite has now",
+                fix=f"nw-eval baseline save {plan.suite.name} --renew",
+            )
+        cells, tried = rung_cells(own, family), Counter[int]()
+        names = {(trial.scene, trial.perturbation, trial.index): trial.id for trial in own.trials}
+        kept: dict[str, bool] = {}
+        for rung, completed in Limit.from_dict(limit.limit).trials:
+            kept[names[(*cells[rung], tried[rung])]] = completed
+            tried[rung] += 1
+        yield own, kept
 
 
 def _check(baseline: BaselineResults, target: BaselineTarget) -> None:
@@ -140,20 +190,20 @@ def _check(baseline: BaselineResults, target: BaselineTarget) -> None:
         )
 
 
-def _run(target: BaselineTarget, names: Sequence[str], how: How) -> tuple[tuple[Row, ...], bool]:
-    """Run some trials of a baseline in a folder of their own; return rows, and if it was cut."""
+def _run(plan: Plan, names: Sequence[str], how: How) -> tuple[tuple[Row, ...], bool]:
+    """Run some trials of a plan in a folder of their own; return rows, and if it was cut."""
     from nw_eval.engine import session
     from nw_gate.results.journal import read_journal
     from nw_gate.results.provenance import read_run_info
 
     chosen = set(names)
-    trials = tuple(trial for trial in target.plan.trials if trial.id in chosen)
+    trials = tuple(trial for trial in plan.trials if trial.id in chosen)
     scenes = {trial.scene for trial in trials}
-    found = tuple(each for each in target.plan.found if each.scene.name in scenes)
-    how.told.message(f"{plural(len(trials), 'trial')} of {len(target.plan.trials)} re-run")
+    found = tuple(each for each in plan.found if each.scene.name in scenes)
+    how.told.message(f"{plural(len(trials), 'trial')} of {plan.suite.name} re-run")
     with TemporaryDirectory(prefix="nw-eval-baseline-") as temporary:
         folder = session.carry_out(
-            replace(target.plan, trials=trials, found=found, arm="baseline"),
+            replace(plan, trials=trials, found=found, arm="baseline"),
             replace(how, cache=False),  # It may hold the very results that are to be verified.
             out=Path(temporary) / "run",
         )

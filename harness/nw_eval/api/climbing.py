@@ -252,7 +252,7 @@ def _families(names: Sequence[str]) -> list[SceneLadder]:
     """Return the ladders that are meant; the built-in ones where none is named.
 
     Raises:
-        UsageError: a name or glob means one of commands, or a suite names no ladder.
+        UsageError: a suite names no ladder.
         SuiteError: a suite cannot be read.
         SceneError: there is no such ladder, or a folder's cannot be read.
     """
@@ -269,17 +269,9 @@ def _families(names: Sequence[str]) -> list[SceneLadder]:
             found += _families_of_suite(name)
             continue
         matching = [each for each in known if fnmatchcase(each.name, name)]
-        # A glob means what can be climbed of what it matches.
-        climbable = [each for each in matching if not each.rungs[0].command]
-        found += climbable or matching or [ladder_named(name)]
+        found += matching or [ladder_named(name)]
     if not names:
         found = [each for each in known if "+" not in each.name]
-    for each in found:
-        if each.rungs[0].command:
-            raise UsageError(
-                f"the rungs of {each.name} are commands; limits climbs scenes and perturbations",
-                fix="leave it out; a suite with the task `velocity` evaluates commands",
-            )
     return list({each.name: each for each in found}.values())
 
 

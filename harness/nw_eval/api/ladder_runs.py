@@ -38,6 +38,8 @@ _LONGEST_NAME = 60
 """Characters of a suite's name."""
 _DURATION = 12.0
 """Seconds of a trial, as in the shipped suites."""
+_COMMANDED_DURATION = 8.0
+"""Seconds of a trial with a velocity command: the fastest rung ends 12 m from the start."""
 
 
 def rungs_ladder(family: SceneLadder) -> Ladder:
@@ -82,7 +84,10 @@ def ladder_plan(
         robot=robot,
         policy=request.policy,
         seed=request.seed,
-        episode={"duration": _DURATION, "contact_termination": not contacts},
+        episode={
+            "duration": _COMMANDED_DURATION if family.is_commanded else _DURATION,
+            "contact_termination": not contacts,
+        },
     )
     changes = {field.name: getattr(request, field.name) for field in fields(request)}
     return _with_all_trials(plan(suite, **{**changes, "suite": None}), each)
@@ -103,6 +108,9 @@ def ladder_plan_of_run(
 
     own, each = run.suite, _each(family, most)
     bundle = bundle or run.bundle
+    episode = own.episode.model_dump()
+    if family.is_commanded:
+        episode["duration"] = min(own.episode.duration, _COMMANDED_DURATION)
     suite = _suite(
         family,
         each,
@@ -110,7 +118,7 @@ def ladder_plan_of_run(
         policy=own.policy,
         seed=own.seed,
         protocol=own.protocol,
-        episode=own.episode.model_dump(),
+        episode=episode,
         render=own.render.model_dump(),
     )
     request = Request(
@@ -137,6 +145,7 @@ def _each(family: SceneLadder, most: int) -> int:
 
 def _suite(family: SceneLadder, trials: int, **settings: Any) -> Suite:
     from nw_eval.suite import new_suite
+    from nw_eval.suite.model import Source
 
     settings = {
         "nw-eval": 1,
@@ -149,7 +158,10 @@ def _suite(family: SceneLadder, trials: int, **settings: Any) -> Suite:
     if family.rungs[0].perturbation:
         ((axis, _),) = family.rungs[0].perturbation
         settings["perturb"] = {axis: [rung.value for rung in family.rungs]}
-    return new_suite(settings)
+    if family.is_commanded:
+        # The axis replaces this command in each trial.
+        settings["task"] = {"kind": "velocity", "command": {"constant": {}}}
+    return new_suite(settings, Source(file=family.name, folder=Path()))
 
 
 def _with_all_trials(found: Plan, each: int) -> Plan:

@@ -105,7 +105,6 @@ def plan_of(
     if suite is not None:
         faults.extend(plugin_faults(suite))
         _vet_scores(suite, faults, allow_code=request.allow_code)
-        _vet_ladders(suite, faults)
         if robot is not None:
             suite = with_robot(suite, robot.reference)
     if own_policy is None:
@@ -125,6 +124,7 @@ def plan_of(
         else:
             bundle = _vet_policy(draft, faults, request, bundle, robot=robot, may_fail=may_fail)
     _check_task(suite, bundle, faults)
+    _vet_ladders(suite, bundle, faults)
     _check_pictures(suite, request, faults)
     faults.raise_any()
     assert suite is not None, "a suite that cannot be used has faults"
@@ -167,24 +167,30 @@ def plan_of(
 
 def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> None:
     """Tell where a suite's task does not fit its policy or its episode, if both could be read."""
+    from nw_sim.axes import COMMANDED
     from nw_sim.tasks import TaskRules, fault_of
+    from nw_sim.tasks.commanded import is_commanded, with_command
 
     if suite is None or bundle is None:
         return
-    rules = TaskRules(duration=suite.episode.duration)
-    try:
-        fault = fault_of(suite.task, hears=bundle.card.hears, rules=rules)
-    except NwEvalError:  # Its package is missing or broken, as already reported.
+    rules, task = TaskRules(duration=suite.episode.duration), suite.task
+    axes = [axis for axis in suite.perturb.axes if axis in COMMANDED]
+    if axes and not is_commanded(task):
+        message = f"perturb.{axes[0]}: the task {task.kind} has no velocity command to change"
+        fix = "use task: velocity, or remove the axis"
+        faults.extend([suite.source.problem(("perturb", axes[0]), message, fix)])
         return
-    if fault is not None:
-        location = ".".join(map(str, ("task", *fault.location)))
-        faults.extend(
-            [
-                suite.source.problem(
-                    ("task", *fault.location), f"{location}: {fault.message}", fault.fix
-                )
-            ]
-        )
+    for cell in suite.perturb.cells:
+        parts = {COMMANDED[axis]: value for axis, value in cell if axis in COMMANDED}
+        try:
+            fault = fault_of(with_command(task, parts), hears=bundle.card.hears, rules=rules)
+        except NwEvalError:  # Its package is missing or broken, as already reported.
+            return
+        if fault is not None:
+            at = ("perturb", axes[0]) if axes else ("task", *fault.location)
+            location = ".".join(map(str, at))
+            faults.extend([suite.source.problem(at, f"{location}: {fault.message}", fault.fix)])
+            return
 
 
 def _check_pictures(suite: Suite | None, request: Request, faults: Faults) -> None:
@@ -222,12 +228,12 @@ def _vet_scores(suite: Suite, faults: Faults, *, allow_code: bool) -> None:
         )
 
 
-def _vet_ladders(suite: Suite, faults: Faults) -> None:
-    """Tell which ladders of a suite's gate cannot be climbed."""
-    if suite.gate.limits:
+def _vet_ladders(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> None:
+    """Tell which ladders of a suite's gate cannot be climbed by its policy, if that can be read."""
+    if suite is not None and suite.gate.limits:
         from nw_eval.suite.ladders import ladder_faults
 
-        for location, error in ladder_faults(suite):
+        for location, error in ladder_faults(suite, None if bundle is None else bundle.card.hears):
             faults.at(location, error)
 
 

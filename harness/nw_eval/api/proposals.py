@@ -194,6 +194,10 @@ def write_proposal(
             "rounds": proposal.rounds,
         },
     }
+    if limits := settings["gate"].get("limits"):
+        settings["gate"]["limits"] = {
+            _ladder_from(file.parent, name, own): asked for name, asked in limits.items()
+        }
     if critical := [each.stratum[0] for each in proposal.items if each.critical]:
         settings["gate"]["tiers"] = dict.fromkeys(critical, "critical")
     lines = [
@@ -201,6 +205,12 @@ def write_proposal(
         f"of {policy.name}. Its seed is another one, so that no result chose its own comparison.",
     ]
     write_suite(file, settings, _head(lines, file, policy.typed, policy.name, proposal.starts))
+
+
+def _ladder_from(folder: Path, name: str, base: Path) -> str:
+    """Return what names a ladder in a suite of a folder: a name, a folder, or `SCENE+AXIS`."""
+    scene, plus, axis = name.rpartition("+")
+    return f"{entry_from(folder, scene if plus else axis, base)}{plus}{axis if plus else ''}"
 
 
 def write_limits_suite(

@@ -143,7 +143,7 @@ def _preflight_messages(plan: Plan) -> Iterator[str]:
         yield _part(plan, plan.shard)
     for note in find_robot(plan.suite.robot).notes:
         yield f"robot {plan.suite.robot.partition('@')[0]}: {note}"
-    for axis in unfelt(plan.bundle.card, dict(plan.suite.perturb.cells[0])):
+    for axis in unfelt(plan.bundle.card, dict(plan.suite.perturb.cells[0]), plan.suite.task):
         yield f"perturb.{axis} changes nothing for {plan.bundle.card.name}: no sense for it"
     for scene, finding in _trail_faults(plan):
         yield f"scene {scene}: {finding.message}; {finding.fix}"

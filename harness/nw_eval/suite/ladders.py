@@ -10,6 +10,7 @@ from nw_gate.limits.ladder import Ladder
 if TYPE_CHECKING:
     from nw_eval.suite.model import Suite
     from nw_sim.ladders import Ladder as SceneLadder
+    from nw_sim.tasks import TaskFault
 
 
 def gated_ladder(family: SceneLadder) -> Ladder:
@@ -18,8 +19,15 @@ def gated_ladder(family: SceneLadder) -> Ladder:
     return Ladder(name=family.name, rungs=values, unit=family.unit)
 
 
-def ladder_faults(suite: Suite) -> list[tuple[tuple[str | int, ...], NwEvalError]]:
-    """Return what of `gate.limits` cannot be used, each with its location in the suite's file."""
+def ladder_faults(
+    suite: Suite, hears: frozenset[str] | None
+) -> list[tuple[tuple[str | int, ...], NwEvalError]]:
+    """Return what of `gate.limits` cannot be used, each with its location in the suite's file.
+
+    Args:
+        suite: whose gate it is.
+        hears: what its policy can be told, as `Task.fault` has it; None if no policy can be read.
+    """
     from nw_gate.limits.against import Claims, LimitMargins
     from nw_gate.limits.wealth import fewest_trials
     from nw_sim.ladders import ladder_named
@@ -30,12 +38,13 @@ def ladder_faults(suite: Suite) -> list[tuple[tuple[str | int, ...], NwEvalError
         at = ("gate", "limits", name)
         try:
             family = ladder_named(name, suite.base)
-            if family.rungs[0].command:
+            if suite.task != COURSE and not family.is_commanded:
                 raise UsageError(
-                    f"the rungs of {name} are commands; a gate judges ladders of scenes and of "
-                    "perturbations",
-                    fix="leave it out",
+                    f"the trials of {name} have the task `course`, and the suite has another one",
+                    fix="leave it out, or put it into a suite of courses",
                 )
+            if hears is not None and (unheard := _unheard(family, hears)) is not None:
+                raise UsageError(f"{name}: {unheard.message}", fix=unheard.fix)
             least = fewest_trials(asked.share, suite.gate.confidence)
             if asked.trials < least:
                 raise UsageError(
@@ -47,10 +56,17 @@ def ladder_faults(suite: Suite) -> list[tuple[tuple[str | int, ...], NwEvalError
                 Claims.of(gated_ladder(family), LimitMargins(at_least=asked.at_least), None)
         except NwEvalError as error:
             faults.append((at, error))
-    if suite.gate.limits and suite.task != COURSE:
-        error = UsageError(
-            "gate.limits judges trials of the task `course`, and the suite has another one",
-            fix="remove gate.limits, or put it into a suite of courses",
-        )
-        faults.append((("gate", "limits"), error))
     return faults
+
+
+def _unheard(family: SceneLadder, hears: frozenset[str]) -> TaskFault | None:
+    """Return why a policy cannot be told the commands of a ladder; None for one of other rungs."""
+    from nw_sim.axes import COMMANDED
+    from nw_sim.tasks import TaskRules, fault_of
+    from nw_sim.tasks.commanded import Asked, Command, VelocitySettings
+
+    if not family.is_commanded:
+        return None
+    parts = {COMMANDED[axis]: value for axis, value in family.rungs[-1].perturbation}
+    settings = VelocitySettings(command=Command(constant=Asked.model_validate(parts)))
+    return fault_of(settings, hears=hears, rules=TaskRules())

@@ -147,7 +147,7 @@ class Stage:
     def axes(self) -> tuple[str, ...]:
         """The axes of perturbation that the policy can feel."""
         axes = usable_axes()
-        left = unfelt(self._bundle.card, axes)
+        left = unfelt(self._bundle.card, axes, self._job.task)
         return tuple(axis for axis in axes if axis not in left)
 
     def step(self) -> tuple[Any, Outcome | None]:

@@ -65,6 +65,22 @@ class ArrayFacts:
 
 
 @dataclass(frozen=True, kw_only=True)
+class HeightGrid:
+    """The grid that a scan of heights is measured on, as a training's configuration has it."""
+
+    x: tuple[float, float, int]
+    """First, last and number of points ahead of the trunk, m."""
+    y: tuple[float, float, int]
+    """The same to the left, m."""
+    order: str
+    """`x_fastest` or `y_fastest`, as a card writes it."""
+    offset: float
+    """Added to the trunk's height over the ground, m."""
+    body: str
+    """Whose height counts."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class ExportedTerm:
     """A term of the observation; None where the file does not say, or cannot be read."""
 
@@ -85,6 +101,8 @@ class ExportedTerm:
     """How its frames stand in the row, as a card writes it."""
     keys: str = ""
     """Further keys of the term on a card, such as a clock's frequency."""
+    grid: HeightGrid | None = None
+    """Of a scan of heights."""
 
     @property
     def word(self) -> str:

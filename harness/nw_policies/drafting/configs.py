@@ -21,7 +21,7 @@ from dataclasses import replace
 from typing import Any, cast
 
 from nw_policies.cards.joints import short_name
-from nw_policies.drafting.checkpoint import ExportedTerm, ExporterMetadata
+from nw_policies.drafting.checkpoint import ExportedTerm, ExporterMetadata, HeightGrid
 from nw_policies.drafting.fields import (
     Fields,
     limits_of,
@@ -613,7 +613,12 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
             command = str(term.below("params").get("command_name"))
             if function == "generated_commands" and command in motions:
                 function = MOTION_COMMAND
-            terms.append(_manager_term(name, term, function=function, steps=steps))
+            described = _manager_term(name, term, function=function, steps=steps)
+            grid, turn = _grid_of(scene, term.below("params"))
+            if turn not in {None, True, "yaw"}:
+                notes.append(f"{name} has rays that turn as `{turn}`; the card's turn with the yaw")
+            width = described.width if grid is None else grid.x[2] * grid.y[2]
+            terms.append(replace(described, grid=grid, width=width))
     names, is_guess = _joint_order(action, robot)
     patterns = _Patterns(names)
     # Isaac Lab names groups of motors; mjlab lists them.
@@ -651,6 +656,41 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
         guessed_order=is_guess and known,
         notes=(*_action_notes(kind, own, pose), *notes),
     )
+
+
+def _grid_of(scene: Data, params: Data) -> tuple[HeightGrid | None, Any]:
+    """Return the grid of a term's sensor, of Isaac Lab or of mjlab, and what its rays turn with.
+
+    Points are those of `torch.arange(-size / 2, size / 2 + 1e-9, resolution)` on both axes. They
+    vary fastest along x where the pattern's `ordering` is `xy`, as it is by default.
+    """
+    name = params.below("sensor_cfg").get("name") or params.get("sensor_name")
+    sensors = cast("list[Any]", listed) if isinstance(listed := scene.get("sensors"), list) else []
+    sensor = next((found for found in map(_dict, sensors) if found.get("name") == name), None)
+    is_isaac = sensor is None
+    if sensor is None:
+        sensor = _dict(scene.get(str(name)))
+    pattern = sensor.below("pattern_cfg" if is_isaac else "pattern")
+    size, step = pattern.numbers("size"), pattern.number("resolution")
+    if len(size) != 2 or not step or min(size) < 0.0 or step < 0.0 or max(size) / step > 500:
+        return None, None
+    turn = sensor.get("ray_alignment", sensor.get("attach_yaw_only"))
+    middle = (*sensor.below("offset").numbers("pos"), 0.0, 0.0)
+    axes: list[tuple[float, float, int]] = []
+    for length, centre in zip(size, middle, strict=False):
+        count = int(length / step + 1e-6) + 1
+        first = centre - length / 2
+        axes.append((round(first, 6), round(first + step * (count - 1), 6), count))
+    own = params.number("offset")
+    grid = HeightGrid(
+        x=axes[0],
+        y=axes[1],
+        order="y_fastest" if pattern.get("ordering") == "yx" else "x_fastest",
+        # `height_scan` of Isaac Lab takes off 0.5 m unless told otherwise; mjlab's nothing.
+        offset=-((0.5 if is_isaac else 0.0) if own is None else own),
+        body=str(sensor.get("prim_path", "")).rpartition("/")[2],
+    )
+    return grid, turn
 
 
 def _direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:

@@ -54,6 +54,11 @@ _PASSED_OVER: Mapping[str, Mapping[str, str]] = {
         "the evaluation has its own scenes": r"""
             scene\.(?!robot|entities|height_scanner)\w+(\..*)?|scene\.entities\.(?!robot)\w+.*
         """,
+        "heights are looked up in the scene": r"""
+            scene\.height_scanner\.(class_type|update_period|debug_vis|offset\.rot|max_distance|
+            mesh_prim_paths|(ray_cast_)?drift_range(\..*)?|visualizer_cfg(\..*)?|history_length|
+            pattern_cfg\.(func|direction))
+        """,
         "the robot is ours": r"""
             (scene\.(entities\.)?)?robot\.(prim_path|spawn|spawn_fn|collision_group|collisions|
             articulation_root_prim_path|soft_joint_pos_limit_factor|

@@ -12,12 +12,13 @@ from dataclasses import dataclass, field, replace
 from itertools import groupby
 
 from nw_base.plural import plural
-from nw_policies.drafting.checkpoint import CheckpointFacts, ExportedTerm
+from nw_policies.drafting.checkpoint import CheckpointFacts, ExportedTerm, HeightGrid
 from nw_policies.drafting.layouts import (
     PARKOUR,
     SCANS,
     TERM_OF,
     Frame,
+    ScanGuess,
     frames_before_a_scan,
     frames_of,
     is_scan,
@@ -253,6 +254,10 @@ def _missing(terms: Sequence[ExportedTerm]) -> list[str]:
     return notes
 
 
+TOPS = frozenset({"base", "base_link", "trunk", "pelvis", "body"})
+"""Names of the body at the top of a robot, from which a card's scan counts heights."""
+
+
 def scan_lines(
     size: int, *, term: ExportedTerm | None = None, frame: Frame | None = None
 ) -> list[str]:
@@ -263,27 +268,66 @@ def scan_lines(
         term: what the exporter says of it, if anything.
         frame: the layout that it stands behind, if that is known.
     """
-    scan = scan_of(size)
-    if scan is None:
-        return ["sensor: proprio", *zeros(size, f"a scan of {size} heights")]
-    if scan is PARKOUR and term is None:
-        return [
-            "sensor: scandots",
-            f"{CHECK} {size} heights: extreme-parkour's grid, {scan.x} x {scan.y}",
-        ]
+    grid = None if term is None else term.grid
+    factor = term.scale[0] if term and term.scale and len(set(term.scale)) == 1 else None
+    if frame is not None and frame.scan_scale != 1.0:
+        factor = frame.scan_scale
+    if term is not None and grid is not None and grid.x[2] * grid.y[2] == size:
+        lines = _stated_scan(grid, term, factor)
+    else:
+        scan = scan_of(size)
+        if scan is None:
+            return ["sensor: proprio", *zeros(size, f"a scan of {size} heights")]
+        if scan is PARKOUR and term is None:
+            return [
+                "sensor: scandots",
+                f"{CHECK} {size} heights: extreme-parkour's grid, {scan.x} x {scan.y}",
+            ]
+        lines = _guessed_scan(scan, term, frame, factor)
+    wrap: list[str] = []
+    if factor not in {None, 1.0}:
+        wrap.append(f"{{wrapper: scale, scale: {number(factor or 1.0)}}}")
+    if term is not None and (term.history or 1) > 1:
+        wrap += [f"{{wrapper: stack, steps: {term.history}}}", "{wrapper: flatten}"]
+    return [*lines, f"wrap: [{', '.join(wrap)}]"] if wrap else lines
+
+
+def _stated_scan(grid: HeightGrid, term: ExportedTerm, factor: float | None) -> list[str]:
+    """Return the lines of a grid that the training's configuration states."""
+    lines = ["sensor: scandots"]
+    if grid.body and grid.body not in TOPS:
+        lines.append(
+            f"{CHECK} the training counts heights from {grid.body}, this card from the root"
+        )
+    lines += [
+        f"x: {in_brackets(grid.x)}",
+        f"y: {in_brackets(grid.y)}",
+        f"order: {grid.order}",
+        f"offset: {number(grid.offset)}",
+    ]
+    low, high = term.clip or (-math.inf, math.inf)
+    if math.isinf(low) or math.isinf(high):
+        # mjlab divides by the longest ray and reads that length where there is no ground.
+        reach = 1 / factor if factor is not None and 0 < factor < 1 else 5.0
+        low, high = max(low, -reach), min(high, reach)
+        return [*lines, f"clip: {in_brackets((low, high))}  {CHECK} the training has no limit"]
+    return [*lines, f"clip: {in_brackets((low, high))}"]
+
+
+def _guessed_scan(
+    scan: ScanGuess, term: ExportedTerm | None, frame: Frame | None, factor: float | None
+) -> list[str]:
+    """Return the lines of a grid of which only the number of points is known."""
     sides = "the grid of Isaac Lab and mjlab" if scan in SCANS and scan != PARKOUR else "a guess"
     ahead, left = (scan.x - 1) / 20, (scan.y - 1) / 20
     order = frame.scan if frame else "x_fastest"
     lines = [
         "sensor: scandots",
-        f"{CHECK} {size} heights: {scan.x} x {scan.y} points 0.1 m apart are {sides}",
+        f"{CHECK} {scan.size} heights: {scan.x} x {scan.y} points 0.1 m apart are {sides}",
         f"x: {in_brackets((0.0 - ahead, ahead, scan.x))}",
         f"y: {in_brackets((0.0 - left, left, scan.y))}",
         f"order: {order}  {CHECK} x_fastest as Isaac Lab and mjlab; y_fastest in legged_gym",
     ]
-    factor = term.scale[0] if term and term.scale and len(set(term.scale)) == 1 else None
-    if frame is not None and frame.scan_scale != 1.0:
-        factor = frame.scan_scale
     if term is not None and term.clip is not None and all(map(math.isinf, term.clip)):
         # mjlab divides by the longest ray and reads that length where there is no ground.
         reach = 1 / factor if factor is not None and 0 < factor < 1 else 5.0
@@ -297,14 +341,9 @@ def scan_lines(
             f"offset: -0.5  {CHECK} as Isaac Lab and legged_gym; 0 in mjlab",
             f"clip: {in_brackets((max(low, -1e6), min(high, 1e6)))}",
         ]
-    wrap: list[str] = []
-    if factor not in {None, 1.0}:
-        wrap.append(f"{{wrapper: scale, scale: {number(factor or 1.0)}}}")
-    if term is not None and (term.history or 1) > 1:
-        wrap += [f"{{wrapper: stack, steps: {term.history}}}", "{wrapper: flatten}"]
     if factor is None:
         lines.append(f"{CHECK} no scale, as Isaac Lab; {{wrapper: scale, scale: 5}} in legged_gym")
-    return [*lines, f"wrap: [{', '.join(wrap)}]"] if wrap else lines
+    return lines
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,6 +29,7 @@ from nw_sim.rollout.perturbed import TrialSetup, perturbed, pushes_of, standing_
 from nw_sim.rollout.scored import ScoreMeter
 from nw_sim.sensors import build_sensors
 from nw_sim.tasks import TaskRules, open_task
+from nw_sim.tasks.commanded import with_command
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -98,7 +99,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             reference=library.motion(bundle, world, card),
         )
         with extension_at_fault():
-            task = open_task(job.task, rules)
+            task = open_task(with_command(job.task, setup.command), rules)
             start = task.reset(trial, scene, robot)
         with policy_at_fault():
             policy: Policy = open_policy(bundle, allow_code=job.allow_code)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -31,6 +31,8 @@ from nw_scenes.robots.spec import remounted
 from nw_sim.axes import AXES, Felt, axis_named
 from nw_sim.physics import Actuators
 from nw_sim.sensors.sensor import CLEAR, Air
+from nw_sim.tasks.commanded import is_commanded
+from nw_sim.tasks.task import TaskSettings
 
 if TYPE_CHECKING:
     from nw_base.trials import Trial
@@ -64,6 +66,8 @@ class TrialSetup:
         payload: load on the robot's back, kg.
         push: speed that the trunk is given every 3 s, level, in a drawn direction, m/s.
         missing_cones: probability of each cone of the course to be missing in images.
+        command: parts of the commanded velocity (`vx`, `vy`, `yaw`) that replace the command of the
+            suite's task, m/s and rad/s.
     """
 
     trial: Trial
@@ -75,6 +79,7 @@ class TrialSetup:
     payload: float = 0.0
     push: float = 0.0
     missing_cones: float = 0.0
+    command: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @classmethod
     def of(cls, trial: Trial, robot: RobotSpec, card: Card) -> Self:
@@ -100,6 +105,10 @@ class TrialSetup:
     def replaced(self, **changes: Any) -> Self:
         """Return a setup with other attributes."""
         return replace(self, **changes)
+
+    def commanding(self, **parts: float) -> Self:
+        """Return a setup whose task commands parts of a velocity: `vx`, `vy`, `yaw`."""
+        return replace(self, command={**self.command, **parts})
 
     def with_strength(self, strength: float) -> Self:
         """Return a setup whose motors have a share of their gain and of their largest torque."""
@@ -190,8 +199,8 @@ def _subject(name: str) -> str:
     return f"axis {name!r}" if name in AXES or not points else f"axis {subject(points[0])}"
 
 
-def unfelt(card: Card, axes: Iterable[str]) -> list[str]:
-    """Return which axes change nothing for a policy, since it has no sense for them.
+def unfelt(card: Card, axes: Iterable[str], task: TaskSettings) -> list[str]:
+    """Return which axes change nothing: the policy has no sense for them, or the task no command.
 
     Raises:
         UsageError, PluginError: as `axis_named`.
@@ -202,6 +211,7 @@ def unfelt(card: Card, axes: Iterable[str]) -> list[str]:
         "camera": bool(views),
         "splat_rgb": any(isinstance(view, SplatRgbObservation) for view in views),
         "cones": any(view.cones for view in views),
+        "command": is_commanded(task),
     }
     return [axis for axis in axes if not felt[axis_named(axis).felt_by]]
 

@@ -100,10 +100,8 @@ def survey_ground(scene: Scene, rays: RayScene, half_width: float, length: float
     """
     samples = course_samples(scene, SPACING, behind=_BEHIND, beyond=length, most=_MOST)
     end = float(course_samples(scene, 1.0).along[-1])
-    reach = half_width + WANDER
-    sides = np.linspace(-reach, reach, 1 + 2 * round(reach / SPACING))
-    xy = samples.points[:, None, :2] + sides[:, None] * samples.left[:, None]
-    flat, above = xy.reshape(-1, 2), np.repeat(samples.above, len(sides))
+    xy, reach = _corridor(samples, half_width)
+    flat, above = xy.reshape(-1, 2), np.repeat(samples.above, xy.shape[1])
     low = samples.points[:, 2:] - _DEEP
     seen = rays.height(flat, z_from=above).reshape(xy.shape[:2])
     seen = np.where(seen > low, seen, np.nan)
@@ -130,6 +128,31 @@ def survey_ground(scene: Scene, rays: RayScene, half_width: float, length: float
         flaws=tuple(sorted(flaws, key=lambda flaw: (flaw.first, flaw.kind))),
         footing=footing_of(samples, seen),
     )
+
+
+def _corridor(samples: CourseSamples, half_width: float) -> tuple[Values, float]:
+    """Return points (S, L, 2) where feet go, and how far to each side, m."""
+    reach = half_width + WANDER
+    sides = np.linspace(-reach, reach, 1 + 2 * round(reach / SPACING))
+    return samples.points[:, None, :2] + sides[:, None] * samples.left[:, None], reach
+
+
+def room_behind(scene: Scene, rays: RayScene, half_width: float, most: float) -> float:
+    """Return how far the mesh has ground behind a course's last waypoint, where feet go, m.
+
+    Args:
+        scene: whose course.
+        rays: of its mesh.
+        half_width: of the corridor, m, as `survey_ground` has it.
+        most: how far to look, m.
+    """
+    samples = course_samples(scene, SPACING, beyond=most, most=_MOST)
+    end = float(course_samples(scene, 1.0).along[-1])
+    xy, _ = _corridor(samples, half_width)
+    seen = rays.height(xy.reshape(-1, 2), z_from=np.repeat(samples.above, xy.shape[1]))
+    there = (seen > np.repeat(samples.points[:, 2] - _DEEP, xy.shape[1])).reshape(xy.shape[:2])
+    holes = samples.along[_foot_sized(~there).any(axis=1) & (samples.along > end)]
+    return min(most, float(holes[0]) - end) if len(holes) else most
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,6 +22,7 @@ from pydantic import (
     model_validator,
 )
 
+from nw_base.errors import UsageError
 from nw_base.memory import pack, unpack
 from nw_base.words import Outcome
 from nw_gate.scores import ScoreSpec
@@ -195,6 +196,41 @@ class Command(TaskPart):
 
 STAND = Command(constant=Asked())
 """Zero at all times."""
+
+
+def is_commanded(settings: TaskSettings) -> bool:
+    """Whether a suite states the velocity command of its task."""
+    return "command" in type(settings).model_fields
+
+
+def with_command(settings: TaskSettings, parts: Mapping[str, float]) -> TaskSettings:
+    """Return settings that command a constant velocity.
+
+    Args:
+        settings: of a task that `is_commanded`; of any other one where `parts` is empty.
+        parts: `vx`, `vy`, `yaw`, m/s and rad/s. What is not among them keeps the value of
+            `command.constant`, and is zero if the command is not constant. Without any, the
+            command is left as it is.
+
+    Raises:
+        UsageError: the task has no command.
+
+    Example:
+        >>> from nw_sim.tasks.commanded import Command, VelocitySettings, with_command
+        >>> settings = VelocitySettings(command=Command(constant={"vx": 0.5}))
+        >>> with_command(settings, {"yaw": 0.2}).command.constant.velocity
+        (0.5, 0.0, 0.2)
+    """
+    if not parts:
+        return settings
+    if not is_commanded(settings):
+        raise UsageError(
+            f"task {settings.kind} has no velocity command that an axis could change",
+            fix="use task: velocity",
+        )
+    own = getattr(settings, "command", STAND).constant or Asked()
+    asked = Asked.model_validate({**own.model_dump(), **parts})
+    return settings.model_copy(update={"command": Command(constant=asked)})
 
 
 class CommandedSettings(TaskSettings):

@@ -65,7 +65,7 @@ class Frame(NamedTuple):
 
 
 class PlacedReference:
-    """A motion that begins at a frame of it, with that frame's root over a place of the scene.
+    """A motion that begins at a frame of it, with that frame's root over a point of the scene.
 
     Args:
         motion: which one.

@@ -70,7 +70,7 @@ class TrackTask(Task):
     The robot begins in the pose and with the velocities of the frame. The trial ends when the
     motion is lost: as `fell` if the anchor is too low or tilted, as `off_course` if it is too high
     or an end effector is off; as `collided` by the robot's limit, if the suite has that; else as
-    `completed`. Only heights count, as published: the place may drift, which a score shows.
+    `completed`. Only heights count, as published: the position may drift, which a score shows.
     """
 
     kind = "track"

@@ -422,21 +422,22 @@ class Build:
         """
         moved = moved_mesh(T_metric_capture, mesh.vertices, mesh.faces)
         centres = moved_capture(T_metric_capture, capture).centres
-        length = stance_of(get_robot(robot)).length
+        stance = stance_of(get_robot(robot))
+        size = {"length": stance.length, "half_width": stance.half_width}
         depths, shown = self.folder.mesh / "depth", None
         if depths.is_dir():
             shown = shown_ground(moved, seen_depths(capture, T_metric_capture, depths))
         say = (lambda _: None) if silent else self._say
         walked = None
         try:
-            walked = propose_course(moved, centres, length=length, shown=shown)
+            walked = propose_course(moved, centres, **size, shown=shown)
             if walked.features or walked.whole:
                 return walked
             say("place: where the cameras went the ground has holes")
         except SceneError as error:
             say(f"place: no course where the cameras went: {error}")
         try:
-            free = propose_free_course(moved, centres, length=length, shown=shown)
+            free = propose_free_course(moved, centres, **size, shown=shown)
         except SceneError:
             if walked is None:
                 raise

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image, ImageSequence
 
 import nw_eval
-from nw_base.errors import IncomparableError, SceneError, UsageError
+from nw_base.errors import IncomparableError, SceneError, SuiteError, UsageError
 from nw_eval import api
 from nw_eval.api import climbing
 from nw_eval.api.ladder_runs import folder_names
@@ -240,12 +240,32 @@ def test_rungs_of_a_perturbation_are_climbed_in_one_scene(tmp_path):
     assert len(rows) <= 4
 
 
+def test_a_ladder_of_commands_has_trials_of_the_task_velocity(tmp_path):
+    found = api.limits(["open/field+speed"], policy="stand", out=tmp_path / "new", trials=5)
+    rows = rows_of(found)
+    assert {name for row in rows for name, _ in row.scores} == {"tracked_time"}, "of velocity"
+    assert {axis for row in rows for axis, _ in row.perturbation} == {"speed"}
+    assert [row.completed for row in rows] == [False] * 5
+
+
+def test_on_a_leaderboard_limits_that_were_asked_otherwise_have_columns_of_their_own(
+    standing, tmp_path
+):
+    asked = {"contacts": {"contacts": True}, "most": {"share": 0.9}}
+    for name, options in asked.items():
+        api.limits(["stairs/up"], policy="stand", out=tmp_path / name, workers=1, **options)
+    api.write_site([standing.out, *(tmp_path / name for name in asked)], tmp_path / "site")
+    page = (tmp_path / "site" / "index.html").read_text()
+    columns = re.findall(r"<th[^>]*>\s*(stairs/up[^<]*?)\s*</th>", page)
+    assert columns == ["stairs/up", "stairs/up, 90\xa0% of trials", "stairs/up, with contacts"]
+
+
 def test_what_cannot_be_climbed_is_said_before_anything_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SceneError, match=r"no ladder 'stairs/upp'.* did you mean 'stairs/up'"):
         api.limits(["stairs/upp"], policy="stand")
-    with pytest.raises(UsageError, match=r"the rungs of open/field\+speed are commands"):
-        api.limits(["open/field+speed"], policy="stand")
+    with pytest.raises(SuiteError, match=r"open/field\+turn_rate.* cannot be told yaw"):
+        api.limits(["open/field+turn_rate"], policy="go1-parkour")
     with pytest.raises(UsageError, match="share 1 is not between 0 and 1"):
         api.limits(["stairs/up"], policy="stand", share=1.0)
     (tmp_path / "full").mkdir()

@@ -314,6 +314,36 @@ def test_a_suite_of_measured_rungs_is_proposed_and_can_be_checked(
     assert written.gate.rounds * len(written.scenes) <= 200
 
 
+def test_a_proposal_in_another_folder_still_names_the_ladders_of_its_gate(
+    suite, run, climbed, tmp_path
+):
+    own = suite.parent / "my-steps"
+    for name, height in (("low", 0.1), ("high", 0.2)):
+        scene = {"nw-scene": 1, "name": name, "task": "hurdles", "licence": "MIT"}
+        scene["trail"] = [[2.0, 0.0, height], [4.0, 0.0, 0.0]]
+        box = {"center": [2.0, 0.0, height / 2], "half_size": [0.5, 1.0, height / 2]}
+        (own / name).mkdir(parents=True)
+        (own / name / "scene.yaml").write_text(json.dumps(scene))
+        (own / name / "collision.yaml").write_text(json.dumps({"boxes": [box]}))
+    rungs = [{"value": 0.1, "scene": "low"}, {"value": 0.2, "scene": "high"}]
+    text = {"nw-ladder": 1, "name": "lab/steps", "parameter": "step", "unit": "m", "rungs": rungs}
+    (own / "ladder.yaml").write_text(json.dumps(text))
+    limits = "my-steps: {at_least: 0.1}, my-steps/low+payload: {at_least: 1}"
+    gate = f"max_drop: 0.15, rounds: 100, limits: {{{limits}, stairs/up: {{at_least: 0.1}}}}"
+    path = suite.with_name("fine.yaml")
+    path.write_text(SUITE.replace("max_drop: 0.2, rounds: 20", gate))
+    api.check(path)
+    file = tmp_path / "written" / "sharp.yaml"
+    file.parent.mkdir()
+    api.plan_trials(path, run=run, limits=[climbed], write_suite=file)
+    api.check(file)
+    assert set(load_suite(file).gate.limits) == {
+        f"../../{suite.parent.name}/my-steps",
+        f"../../{suite.parent.name}/my-steps/low+payload",
+        "stairs/up",
+    }
+
+
 def test_a_plan_is_json_with_what_each_scene_tells(fine, run, climbed, capsys):
     assert ends("plan", fine, "--run", run, "--limits", climbed, "--json") == 0
     found = json.loads(capsys.readouterr().out)

@@ -164,6 +164,69 @@ def test_mjlab_keeps_its_robot_among_entities_and_lists_its_motors(card_of):
     assert "torque_limits: [23.7" in text
 
 
+HEIGHTS = """
+    height_scan: {func: "isaaclab.envs.mdp.observations:height_scan", scale: null,
+      clip: !!python/tuple [-1.0, 1.0], params: {sensor_cfg: {name: height_scanner}}}
+"""
+SCANNER = """
+  height_scanner:
+    class_type: isaaclab.sensors.ray_caster.ray_caster:RayCaster
+    prim_path: /World/envs/env_.*/Robot/base
+    update_period: 0.02
+    debug_vis: false
+    ray_alignment: yaw
+    max_distance: 1000000.0
+    drift_range: !!python/tuple [0.0, 0.0]
+    ray_cast_drift_range: {x: !!python/tuple [0.0, 0.0]}
+    mesh_prim_paths: [/World/ground]
+    offset: {pos: !!python/tuple [0.2, 0.0, 20.0], rot: !!python/tuple [1.0, 0.0, 0.0, 0.0]}
+    pattern_cfg: {resolution: 0.2, size: [1.2, 0.8], ordering: yx,
+      func: "isaaclab.sensors.ray_caster.patterns.patterns:grid_pattern", direction: [0, 0, -1]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("changes", "order", "offset"),
+    [
+        ({}, "y_fastest", -0.5),
+        ({"ordering: yx": "ordering: xy"}, "x_fastest", -0.5),
+        ({"{sensor_cfg:": "{offset: 0.3, sensor_cfg:"}, "y_fastest", -0.3),
+    ],
+)
+def test_a_scan_of_heights_is_measured_where_env_yaml_has_its_sensor(
+    card_of, changes, order, offset
+):
+    # 7 x 5 points of torch.arange(-size / 2, size / 2 + 1e-9, 0.2), 0.2 m ahead of the base.
+    text = ENVIRONMENT.replace("scene:\n", "scene:" + SCANNER).replace(
+        "\nactions:\n", HEIGHTS + "actions:\n"
+    )
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new)
+    drafted, card = card_of(80, {"../params/env.yaml": text})
+    scan = card.observations["obs_scan"]
+    assert (scan.x, scan.y) == ((-0.4, 0.8, 7), (-0.4, 0.4, 5))
+    assert (scan.order, scan.offset, scan.clip) == (order, offset, (-1.0, 1.0))
+    assert "CHECK: 35 heights" not in drafted
+    assert not [each for each in drafted.splitlines() if "scanner" in each and "CHECK" in each]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("Robot/base", "Robot/torso_link", "the training counts heights from torso_link"),
+        ("alignment: yaw", "alignment: base", "height_scan has rays that turn as `base`"),
+    ],
+)
+def test_what_a_card_has_no_word_for_in_a_scan_is_to_be_checked(card_of, old, new, said):
+    scanner = SCANNER.replace(old, new)
+    text = ENVIRONMENT.replace("scene:\n", "scene:" + scanner).replace(
+        "\nactions:\n", HEIGHTS + "actions:\n"
+    )
+    drafted, _ = card_of(80, {"../params/env.yaml": text})
+    assert f"CHECK: {said}" in drafted or f"CHECK {said}" in drafted
+
+
 def test_env_yaml_says_what_its_patterns_say_of_each_joint(card_of):
     text, card = card_of(45, {"../params/env.yaml": ENVIRONMENT})
     control = card.control

@@ -13,7 +13,6 @@ from nw_scenes.ladder_file import load_ladder
 from nw_sim.axes import Perturb
 from nw_sim.catalogue import from_folder, get_scene, inspect_scene, references
 from nw_sim.ladders import ladder_named, ladders, rungs_of
-from nw_sim.tasks.commanded import VelocitySettings
 
 TEXT = {
     "nw-ladder": 1,
@@ -57,15 +56,13 @@ def test_every_ladder_goes_from_easy_to_hard_and_can_be_asked_for_by_its_name():
 def test_rungs_of_scenes_are_scenes_and_change_nothing():
     rungs = rungs_of("ramps/up~2")
     assert references([rung.scene for rung in rungs]) == references(["ramps/up@*~2"])
-    assert not any(rung.perturbation or rung.command for rung in rungs)
+    assert not any(rung.perturbation for rung in rungs)
 
 
 def test_values_of_axes_are_such_as_suites_may_have():
     for ladder in ladders():
         for rung in ladder.rungs:
             Perturb.model_validate({axis: (value,) for axis, value in rung.perturbation})
-            if rung.command:
-                VelocitySettings.model_validate({"command": {"constant": dict(rung.command)}})
     rungs = rungs_of("gaps/gap@0.5+field_of_view")
     assert {rung.scene for rung in rungs} == {"gaps/gap@0.5"}
     assert [rung.value for rung in rungs][:2] == [1.0, 0.9615]

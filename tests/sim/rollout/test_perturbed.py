@@ -10,13 +10,14 @@ from nw_base.errors import UsageError
 from nw_policies.cards import Card
 from nw_scenes.robots import get_robot
 from nw_scenes.robots.spec import remounted
-from nw_sim.axes import AXES, Perturb
+from nw_sim.axes import AXES, COMMANDED, Perturb
 from nw_sim.rollout.job import StageClock
 from nw_sim.rollout.library import Library
 from nw_sim.rollout.opening import open_trial
 from nw_sim.rollout.perturbed import EVERY, Pushes, TrialSetup, perturbed, unfelt
 from nw_sim.rollout.trial import run_trial
 from nw_sim.sensors.sensor import FOG, Air
+from nw_sim.tasks.commanded import VelocitySettings
 from nw_splat.image import Image
 
 PUBLISHED = "neverwhere-2026"
@@ -35,8 +36,11 @@ FELT = {
     "camera_height": 0.1,
     "field_of_view": 0.7,
     "missing_cones": 1.0,
+    "speed": 0.3,
+    "turn_rate": 0.4,
 }
 SEES = ("exposure", "fog", "camera_pitch", "camera_height", "field_of_view", "missing_cones")
+WALKS = [axis for axis in FELT if axis not in {*SEES, *COMMANDED}]
 
 
 def walked(library, make_job, axis=None, value=0.0, *, policy="go1-parkour", duration=1.0):
@@ -83,7 +87,7 @@ def test_every_axis_is_tried_here():
     assert set(FELT) == set(AXES) == set(Perturb.model_fields)
 
 
-@pytest.mark.parametrize("axis", [axis for axis in FELT if axis not in SEES])
+@pytest.mark.parametrize("axis", WALKS)
 def test_an_axis_of_body_and_ground_moves_the_robot(library, make_job, blind, axis):
     duration = 3.0 if axis == "push" else 1.0  # Within which one push falls at least.
     plain = walked(library, make_job, duration=duration) if axis == "push" else blind
@@ -96,9 +100,38 @@ def test_an_axis_of_pictures_moves_a_policy_that_sees(library, make_job, seeing,
     assert walked(library, make_job, axis, FELT[axis], **options)[1] != seeing[1]
 
 
-@pytest.mark.parametrize("axis", [axis for axis in AXES if axis not in {"friction", *SEES}])
+@pytest.mark.parametrize("axis", [axis for axis in WALKS if axis != "friction"])
 def test_a_neutral_value_changes_no_bit(library, make_job, blind, axis):
     assert walked(library, make_job, axis, AXES[axis].neutral) == blind
+
+
+@pytest.mark.parametrize(
+    ("axis", "asked", "velocity"),
+    [
+        ("speed", {"draw": {"vx": [0.6, 0.8]}}, {"vx": 0.3}),
+        ("speed", {"constant": {"vx": 0.6, "yaw": 0.1}}, {"vx": 0.3, "yaw": 0.1}),
+        ("turn_rate", {"sweep": {"yaw": [0.0, 0.2], "over": 1.0}}, {"yaw": 0.4}),
+    ],
+)
+def test_an_axis_of_the_command_is_that_constant_command(library, make_job, axis, asked, velocity):
+    def walked_at(command, cell=()):
+        job = make_job(policy="go1-parkour", duration=1.0, protocol=PUBLISHED)
+        task = VelocitySettings.model_validate({"command": command})
+        trial = replace(job.trial, perturbation=cell)
+        result = run_trial(replace(job, task=task, trial=trial), library=library)
+        assert result.status == "ok", result
+        return result.state_digest, result.action_digest, result.scores
+
+    changed = walked_at(asked, ((axis, FELT[axis]),))
+    assert changed == walked_at({"constant": velocity})
+    assert changed != walked_at(asked)
+
+
+def test_a_course_has_no_command_to_change(library, make_job):
+    job = make_job(policy="go1-parkour", duration=1.0)
+    trial = replace(job.trial, perturbation=(("speed", 0.3),))
+    with pytest.raises(UsageError, match="task course has no velocity command"):
+        open_trial(replace(job, trial=trial), library, StageClock())
 
 
 @pytest.mark.parametrize("axis", SEES)

@@ -11,6 +11,11 @@ from nw_places.hurdles import HURDLES
 from nw_places.ramps import RAMPS
 from nw_places.stairs import STAIRS
 from nw_scenes.mesh import box_mesh, merge, quad_mesh
+from nw_scenes.rays import RayScene
+from nw_scenes.robots import get_robot
+from nw_scenes.scene import Plane, Scene
+from nw_sim.survey.course import stance_of
+from nw_sim.survey.ground import survey_ground
 from nw_twin.course import propose_course, propose_free_course
 
 GROUND = quad_mesh((-5, -5, 0), (30, 0, 0), (0, 10, 0), "ground")
@@ -271,6 +276,48 @@ def island(length):
 def test_the_last_waypoint_has_a_robots_length_of_ground_behind_it(length):
     (last,) = propose_course(island(length), walk(5.0)).trail
     assert length - 0.75 < last[0] < length - 0.55
+
+
+def bent(radius, width, sweep):
+    """Return a curved corridor in pieces, and the cameras of a walk along its middle."""
+    turns = np.linspace(0.0, sweep, 40)
+    inner, outer = (
+        np.column_stack([r * np.sin(turns), radius - r * np.cos(turns), 0 * turns])
+        for r in (radius - width / 2, radius + width / 2)
+    )
+    vertices = np.concatenate([inner, outer])
+    pieces = [(k, 40 + k, 41 + k) for k in range(39)] + [(k, 41 + k, k + 1) for k in range(39)]
+    kinds = np.zeros(len(pieces), dtype=GROUND.kinds.dtype)
+    mesh = type(GROUND)(vertices=vertices, faces=np.array(pieces, dtype=np.int32), kinds=kinds)
+    middle = np.column_stack([radius * np.sin(turns), radius - radius * np.cos(turns)])
+    return mesh, np.column_stack([middle, np.full(len(middle), 1.4)])
+
+
+@pytest.mark.parametrize(("radius", "width"), [(1.5, 0.9), (3.0, 0.8), (8.0, 0.7)])
+def test_behind_the_last_waypoint_the_check_of_the_scene_finds_ground_in_a_bend(radius, width):
+    mesh, centres = bent(radius, width, 4.0 / radius)
+    proposal = propose_course(mesh, centres)
+    scene = Scene(
+        name="bent",
+        task=proposal.task,
+        title="",
+        solids=(),
+        trail=np.array(proposal.trail),
+        static_mesh=mesh,
+        splat=None,
+        ground=Plane(z=-3.0),
+        spawn=proposal.spawn,
+    )
+    stance = stance_of(get_robot("go1"))
+    ground = survey_ground(scene, RayScene(mesh), stance.half_width, stance.length)
+    assert ground.end > 1.0
+    assert not [flaw for flaw in ground.flaws if flaw.kind == "missing" and flaw.last > ground.end]
+
+
+def test_a_bend_that_is_too_narrow_to_arrive_in_has_a_course_that_is_not_whole():
+    proposal = propose_course(*bent(1.5, 0.7, 4.0 / 1.5))
+    assert proposal.trail
+    assert not proposal.whole
 
 
 def test_no_waypoint_is_within_reach_of_the_start():

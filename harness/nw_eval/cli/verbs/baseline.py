@@ -232,8 +232,31 @@ def change_page(change: BaselineChange) -> str:
         *(_scene(each) for each in change.scenes),
         _mean(change),
     ]
-    parts = [field_lines(fields), aligned(scenes, right={1, 2, 3}), [whose_doing(change)]]
+    parts = [
+        field_lines(fields),
+        aligned(scenes, right={1, 2, 3}),
+        aligned(_limits(change)),
+        [whose_doing(change)],
+    ]
     return "\n\n".join("\n".join(lines) for lines in parts if lines)
+
+
+def _limits(change: BaselineChange) -> list[tuple[str, ...]]:
+    """Return a row for each ladder that one of two baselines has a limit on."""
+    from nw_gate.limits.limit import Limit
+
+    both = [each.manifest.limits for each in (change.then, change.now)]
+    rows = [
+        (
+            clean(ladder),
+            *(
+                clean(Limit.from_dict(x[ladder].limit).range_text) if ladder in x else "none"
+                for x in both
+            ),
+        )
+        for ladder in sorted({*both[0], *both[1]})
+    ]
+    return [("limit", "then", "now"), *rows] if rows else []
 
 
 def field_lines(fields: Sequence[FieldChange]) -> list[str]:
@@ -248,7 +271,11 @@ def field_lines(fields: Sequence[FieldChange]) -> list[str]:
 
 def whose_doing(change: BaselineChange) -> str:
     """Return what may be charged with what moved: the policy, something else, or neither."""
-    moved = any(scene.moved for scene in change.scenes)
+    limits = [
+        {ladder: saved.limit for ladder, saved in each.manifest.limits.items()}
+        for each in (change.then, change.now)
+    ]
+    moved = any(scene.moved for scene in change.scenes) or limits[0] != limits[1]
     others = sorted(change.parts - {"policy"}) + (["machine"] if change.machine else [])
     if not moved:
         return "No trial changed."
@@ -279,7 +306,9 @@ def verified_page(verified: VerifiedBaseline) -> str:
 
 
 def _verified(verified: VerifiedBaseline) -> Iterator[str]:
-    name, starts = verified.baseline.manifest.name, len(verified.baseline.panels[0].starts)
+    manifest = verified.baseline.manifest
+    name, starts = manifest.name, len(verified.baseline.panels[0].starts)
+    kept = starts + sum(len(each.limit["trials"]) for each in manifest.limits.values())
     yield from verified.differing
     yield from (f"no result now: {fault}" for fault in verified.faults)
     if verified.differing:
@@ -294,7 +323,7 @@ def _verified(verified: VerifiedBaseline) -> Iterator[str]:
     equal = verified.ran - len(verified.differing)
     yield (
         f"re-run: {equal} of {plural(verified.drawn, 'trial')} are identical to the baseline, "
-        f"drawn from {starts} by --seed {verified.seed}"
+        f"drawn from {kept} by --seed {verified.seed}"
     )
 
 

@@ -155,7 +155,7 @@ def rungs_table(ladders: Sequence[Ladder]) -> str:
 
 
 def _changed(rung: Rung) -> str:
-    cell = "".join(f"  {axis} {value:g}" for axis, value in (*rung.perturbation, *rung.command))
+    cell = "".join(f"  {axis} {value:g}" for axis, value in rung.perturbation)
     return f"{clean(rung.scene)}{cell}"
 
 

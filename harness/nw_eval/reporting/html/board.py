@@ -187,7 +187,7 @@ def render_board(
         left_out: a sentence for each run that the page does not have.
         runs_page: address of an index of the runs; empty without one.
     """
-    ladders = sorted({each.ladder for each in limits})
+    ladders = sorted({each.label for each in limits})
     columns, lines = _lines(sections, ladders, limits)
     return render(
         "site.html.j2",
@@ -249,7 +249,7 @@ def _lines(
     for each in sorted(limits, key=lambda each: each.run.order):
         policy = each.run.info.policy
         key = (policy.folder_name, policy.short_digest)
-        climbed.setdefault(key, {})[each.ladder] = each
+        climbed.setdefault(key, {})[each.label] = each
         called.setdefault(key, each.run.at)
         standings.setdefault(key, {})
     names = [name for name, _ in standings]

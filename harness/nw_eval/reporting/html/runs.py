@@ -38,6 +38,8 @@ _LABELS = (("commit", "commit"), ("branch", "branch"), ("pull_request", "pull"),
 """Columns of the page, where runs have such a label."""
 _GIVEN = re.compile(r".*-[0-9]{8}T[0-9]{6}Z-[0-9a-f]{8}(?:-[0-9]+)?(?:-[0-9]+of[0-9]+)?", re.DOTALL)
 """A folder's name that no user chose: `nw_gate.results.run_folder`."""
+_USUAL_SHARE = 0.5
+"""Of trials that a cleared rung has at least, where nothing else is asked for."""
 _NO_PICTURES: Mapping[tuple[str, str], bytes] = MappingProxyType({})
 
 
@@ -191,6 +193,19 @@ class ListedLimit:
         )
 
     @property
+    def label(self) -> str:
+        """The ladder, and what was asked on it where that is not the usual.
+
+        Limits with one label share a column of a leaderboard and a line of a chart.
+        """
+        found = self.ladder
+        if self.limit.share != _USUAL_SHARE:
+            found += f", {100.0 * self.limit.share:g} % of trials"
+        if not self.run.info.suite.get("episode", {}).get("contact_termination", True):
+            found += ", with contacts"
+        return found
+
+    @property
     def bounds(self) -> str:
         """Its bounds in a few words."""
         return bounds_words(self.limit)
@@ -225,8 +240,8 @@ class LadderTrend:
 def _ladder_trends(limits: Sequence[ListedLimit]) -> list[LadderTrend]:
     """Return the limits of each ladder over training steps and dates, the latest policy first."""
     found: list[LadderTrend] = []
-    for name in dict.fromkeys(each.ladder for each in limits):
-        own = [each for each in limits if each.ladder == name]
+    for name in dict.fromkeys(each.label for each in limits):
+        own = [each for each in limits if each.label == name]
         rungs = own[-1].limit.ladder.rungs
         ticks = (0, len(rungs) // 2, len(rungs) - 1)
         levels = [(_y(own[-1].height(rung)), f"{rungs[rung]:g}") for rung in ticks]
@@ -369,7 +384,7 @@ def render_index(
         for place, run in enumerate(sorted(runs, key=lambda run: run.order), 1)
     ]
     suites = sorted({run.suite for run in ordered})
-    found = sorted(limits, key=lambda each: (each.ladder, each.run.order))
+    found = sorted(limits, key=lambda each: (each.label, each.run.order))
     return render(
         "index.html.j2",
         title=title or plural(len(ordered), "run"),
