@@ -132,7 +132,7 @@ MOST = {
         ),
     ),
     "nw_eval": Figures(
-        36200,  # Limits: in the gate, of robots, in pages; suites that tell policies apart.
+        37040,  # Limits: in the gate, of robots, in pages; suites that tell policies apart; ghosts.
         160,  # Limits; ladders and their rungs.
         ("nw_learn", "nw_twin"),
     ),
@@ -152,7 +152,7 @@ MOST = {
         ("nw_eval", "nw_learn", "nw_sim"),
     ),
     "nw_policies": Figures(
-        23120,  # Encoder and policy in one plan.
+        23960,  # Reference motions: readers of their files, keys and terms of cards, drafts.
         9,
         ("nw_eval", "nw_learn", "nw_sim"),
     ),
@@ -162,7 +162,7 @@ MOST = {
         ("nw_eval", "nw_learn", "nw_places", "nw_policies", "nw_sim", "nw_twin"),
     ),
     "nw_sim": Figures(
-        25638,
+        27190,  # Reference motions: the task track, their terms, their ghosts.
         0,
         ("nw_eval", "nw_learn", "nw_twin"),
     ),

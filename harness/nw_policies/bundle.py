@@ -90,6 +90,8 @@ class Bundle:
     """`code_digest` of the card's folder, if the card imports code; else empty."""
     networks: Mapping[str, Weights] = field(default_factory=dict[str, Weights])
     """The files of the networks that feed the checkpoint, by name."""
+    motion: Weights | None = None
+    """The file of the motion that the policy tracks."""
     network: str = ""
     """Which network of its card this is the bundle of; empty for the policy itself."""
     programs: Mapping[str, PlannedFile] = field(default_factory=dict)
@@ -142,9 +144,10 @@ class Bundle:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All files of weights."""
+        """All files of weights, and of the motion."""
         own = () if self.checkpoint is None else (self.checkpoint,)
-        return (*own, *(weights.path for weights in self.networks.values()))
+        motion = () if self.motion is None else (self.motion.path,)
+        return (*own, *(weights.path for weights in self.networks.values()), *motion)
 
     @property
     def checkpoint_digest(self) -> str:
@@ -217,6 +220,7 @@ class Bundle:
         parts = [fields, self.checkpoint_digest]
         parts += [self.code_sha256] if self.code_sha256 else []
         parts += [{"plugins": self.plugins}] if self.plugins else []
+        parts += [] if self.motion is None else [{"motion": self.motion.sha256}]
         # Their order counts where a file takes its inputs in it. Other cards keep what they had.
         is_sorted = not self.networks
         if is_sorted and (orders := _orders(fields)):
@@ -245,6 +249,7 @@ class Bundle:
         feeding = {name: _computed(self.of_network(name)) for name in self.networks}
         # Not sorted: one input takes the observations in their order.
         parts = [fields, _computed(self), feeding, self.code_sha256]
+        parts += [] if self.motion is None else [self.motion.sha256]
         text = json.dumps([*parts, self.plugins] if self.plugins else parts)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -257,6 +262,11 @@ class Bundle:
             del fields["networks"]  # Cards have the digest that they had before there were any.
         if not fields["cameras"]:
             del fields["cameras"]  # As above.
+        if fields["reference"] is None:
+            del fields["reference"]  # As above.
+        else:  # Its digest counts by itself, wherever the file lies.
+            for key in ("file", "sha256", "source"):
+                del fields["reference"][key]
         if fields["runtime"] != "native" or self.operator:
             del fields["runtime"]  # As above; and whether nw-eval can run it follows from the rest.
         if self.card.adapter == "remote":
@@ -296,10 +306,17 @@ class Bundle:
         """
         if self.checkpoint is None:
             return b""
-        data = _read(self.checkpoint, self.folder)
-        if hashlib.sha256(data).hexdigest() != self.checkpoint_sha256:
+        return self._read(Weights(self.checkpoint, self.checkpoint_sha256), "checkpoint")
+
+    def read_motion(self) -> bytes:
+        """Return the bytes of the motion, as `read_checkpoint`; none without a motion."""
+        return b"" if self.motion is None else self._read(self.motion, "motion")
+
+    def _read(self, file: Weights, what: str) -> bytes:
+        data = _read(file.path, self.folder)
+        if hashlib.sha256(data).hexdigest() != file.sha256:
             raise PolicyError(
-                f"{self.checkpoint}: the checkpoint changed while it was in use",
+                f"{file.path}: the {what} changed while it was in use",
                 fix="start again once it is no longer written to",
             )
         return data
@@ -351,7 +368,7 @@ def load_bundle(
     card = load_card(card_path)
     code = code_digest(card_path.parent) if _imports_code(card) else ""
     networks = {
-        name: _verified(card_path, network.checkpoint, network=name)
+        name: _verified(card_path, network.checkpoint, key=f"networks.{name}.checkpoint")
         for name, network in card.networks.items()
     }
     if card.checkpoint is None:
@@ -365,6 +382,11 @@ def load_bundle(
         weights = _verified(card_path, card.checkpoint)
     else:
         weights = _measured(checkpoint, card_path, card.checkpoint.source)
+    motion = None
+    if card.reference is not None:
+        held = card.checkpoint is not None and card.reference.file == card.checkpoint.file
+        # The checkpoint holds it: other weights have a motion of their own.
+        motion = weights if held else _verified(card_path, card.reference, key="reference")
     known = "" if card.adapter == "remote" else code or NOTHING
     return Bundle(
         card=card,
@@ -373,16 +395,18 @@ def load_bundle(
         checkpoint_sha256=known if weights is None else weights.sha256,
         code_sha256=code,
         networks=networks,
+        motion=motion,
     )
 
 
-def _verified(card_path: Path, named: Checkpoint, *, network: str = "") -> Weights:
-    """Return the file of a policy, or of one of its networks; the one that the card means."""
-    key = f"networks.{network}.checkpoint" if network else "checkpoint"
-    weights = _measured(_beside(card_path, named.file), card_path, named.source, is_own=not network)
+def _verified(card_path: Path, named: Checkpoint, *, key: str = "checkpoint") -> Weights:
+    """Return the file that a key of the card names, with the digest that the card says."""
+    is_own = key == "checkpoint"
+    weights = _measured(_beside(card_path, named.file), card_path, named.source, is_own=is_own)
     if named.sha256 is not None and weights.sha256 != named.sha256:
+        what = "motion" if key == "reference" else "checkpoint"
         raise PolicyError(
-            f"{weights.path}: the checkpoint's SHA-256 is {weights.sha256}, the card says "
+            f"{weights.path}: the {what}'s SHA-256 is {weights.sha256}, the card says "
             f"{named.sha256}",
             fix=f"get the right file, or correct `{key}.sha256` if this one is meant",
         )

@@ -76,6 +76,9 @@ NOT_RUN = MappingProxyType(
         "nw-eval baseline save hurdles-state --policy go1-parkour": (
             "a thousand trials; test_baselines.py saves smaller ones"
         ),
+        "nw-eval policies init my-dance/policy.onnx --robot ./g1": (
+            "a policy of one's own; tests/policies/drafting/test_tracking_drafts.py drafts some"
+        ),
         "nw-eval run hurdles --policy my-policy --track wandb": (
             "test_trackers.py and tests/eval/report/trackers track runs"
         ),

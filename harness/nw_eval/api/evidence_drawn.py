@@ -412,7 +412,7 @@ def _filmed(
     from nw_scenes.robots import know_robot
     from nw_sim.rollout.replaying.logged import read_logged_trial
     from nw_sim.rollout.replaying.policy_switch import open_replayed
-    from nw_sim.rollout.replaying.third_person import Spectator
+    from nw_sim.rollout.replaying.third_person import Spectator, ghost_of
 
     logged = read_logged_trial(path)
     know_robot(logged.job.robot, logged.job.robot_folder)
@@ -431,7 +431,9 @@ def _filmed(
             # What moves besides the robot is where it was at the last state.
             world.restore(states[max(0, bisect_right(times, time + 1e-6) - 1)].world)
             world.pose(*pose)
-            view = spectator.beside(world, trail, width=width, height=height)
+            step = round(time * logged.control_rate)
+            ghost = ghost_of(trial.episode.task, step)
+            view = spectator.beside(world, trail, width=width, height=height, ghost=ghost)
             frames.append((time, sized(Image.fromarray(view))))
     return clip_of(frames, topic="", end=end, most_bytes=most_bytes) if frames else None
 

@@ -182,6 +182,7 @@ def init_policy(
     from nw_policies.drafting.beside import files_beside_checkpoint, find_checkpoint
     from nw_policies.drafting.draft import draft_of, files_beside
     from nw_policies.drafting.notation import lines_to_check, plain
+    from nw_policies.drafting.tracking import motions_beside
     from nw_policies.drafting.trained import statistics_beside
     from nw_scenes.robots import find_robot
     from nw_sim.rollout.confined.access import inspecting_rules
@@ -211,6 +212,7 @@ def init_policy(
         layout=layout,
         beside=files_beside_checkpoint(checkpoint, entry.spec.name),
         statistics=None if statistics is None else str(statistics),
+        motions=motions_beside(checkpoint, card.parent),
     )
     drafted = draft()
     if widths := drafted["widths"]:

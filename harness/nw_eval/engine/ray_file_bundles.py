@@ -135,7 +135,7 @@ class Outgoing:
 
 
 def _policy_files(bundle: Bundle, card_path: Path) -> dict[str, Path]:
-    """Return card and weights by their names; with Python code, all that lies below the folder.
+    """Return card, weights and motion by name; with Python code, all that lies below the folder.
 
     Code may read whatever lies beside it, and its digest is that of the whole folder.
     """
@@ -143,6 +143,7 @@ def _policy_files(bundle: Bundle, card_path: Path) -> dict[str, Path]:
         return _all_below(card_path.parent)
     named = {} if bundle.card.checkpoint is None else {"": bundle.card.checkpoint.file}
     named |= {name: network.checkpoint.file for name, network in bundle.card.networks.items()}
+    named |= {} if bundle.card.reference is None else {"reference": bundle.card.reference.file}
     files = [card_path.name, *(PurePosixPath(file).as_posix() for file in named.values())]
     # Where a checkpoint of the caller's replaces the card's, that one may be missing.
     return {name: path for name in files if (path := card_path.parent / name).is_file()}

@@ -89,6 +89,8 @@ def plain(text: str) -> str:
 COLOURS = ((25, 115, 240), (232, 89, 12), (43, 138, 62), (134, 65, 196))
 """Of the ways that the trials walked, the first being the one that is looked at."""
 _PARTED = (214, 51, 132)
+MOTION_TINT = (70, 190, 255)
+"""Of the robot as the motion has it that it tracks."""
 _GHOST = 0.35
 _BESIDE = 0.3
 """Of the course's length, by which it lies left of the middle of the picture."""
@@ -114,6 +116,7 @@ class TrialDrawing:
         self._draw_course(traces)
         for number, trace in enumerate(traces):
             self._bodies.append(self._draw_robot(trace, number))
+        self._motion = self._draw_motion(traces[0])
         self.show(0.0)
 
     @property
@@ -134,6 +137,10 @@ class TrialDrawing:
                 for name, handle in handles.items():
                     positions, quats = trace.bodies[name]
                     handle.position, handle.wxyz = positions[place], quats[place]
+            place = self._traces[0].at(time)
+            for name, handle in self._motion.items():
+                positions, quats = self._traces[0].ghost[name]
+                handle.position, handle.wxyz = positions[place], quats[place]
 
     def _draw_place(self, trace: Trace, splat: SplatPoints | None) -> None:
         if splat is not None:
@@ -164,6 +171,11 @@ class TrialDrawing:
         parts = [entity for entity in trace.entities if entity.frame_id in trace.bodies]
         tint = COLOURS[number % len(COLOURS)] if number else None
         return draw_robot(self._scene, parts, f"/robot/{number}", tint)
+
+    def _draw_motion(self, trace: Trace) -> dict[str, Any]:
+        """Draw the robot as the motion has it, which it tracks, if it does."""
+        parts = [entity for entity in trace.entities if entity.frame_id in trace.ghost]
+        return draw_robot(self._scene, parts, "/motion", MOTION_TINT)
 
 
 def draw_splat(scene: Any, splat: SplatPoints) -> Any:

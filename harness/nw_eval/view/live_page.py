@@ -23,6 +23,7 @@ from nw_base.errors import NwEvalError, StoreError, UsageError
 from nw_base.files.inside import what_is
 from nw_eval.suite.load import write_ready_suite
 from nw_eval.view.drawing import (
+    MOTION_TINT,
     ServedPage,
     aim_along,
     draw_mesh,
@@ -246,6 +247,8 @@ class LivePage(ServedPage):
         moving = robot_update(trial.robot.bodies, trial.robot.visuals)
         robot = SceneUpdate.FromString(moving + props_update(trial.scene.props))
         self._bodies = draw_robot(scene, robot.entities, "/robot")
+        parts = robot.entities if trial.episode.task.reference is not None else ()
+        self._motion = draw_robot(scene, parts, "/motion", MOTION_TINT)
         self._boxes: list[Any] = []
         self._views = tuple(
             view
@@ -307,6 +310,15 @@ class LivePage(ServedPage):
             for name, handle in self._bodies.items():
                 number = numbers[name]
                 handle.position, handle.wxyz = positions[number].copy(), quats[number].copy()
+        if (placed := self._stage.trial.episode.task.reference) is not None:
+            frame = placed.at(self._stage.trial.episode.step)
+            root = np.concatenate([frame.root_position, frame.root_quat])[np.newaxis]
+            bodies = world.robot.bodies
+            own, turns = world.kinematics(root, frame.joint_positions[np.newaxis], bodies)
+            with self.server.atomic():
+                for number, name in enumerate(bodies):
+                    if (handle := self._motion.get(name)) is not None:
+                        handle.position, handle.wxyz = own[0, number], turns[0, number]
 
     def _show_pictures(self, observation: Any) -> None:
         sensors = self._stage.trial.episode.sensors

@@ -62,10 +62,11 @@ def open_stage(
     from nw_policies import load_bundle
     from nw_sim.rendering import DRAFTED
 
-    robot = load_bundle(policy, checkpoint=checkpoint).card.robot
+    card = load_bundle(policy, checkpoint=checkpoint).card
+    task = {} if card.reference is None else {"task": {"kind": "track", "start": 0.0}}
     suite = new_suite(
-        {"nw-eval": 1, "name": "play", "robot": robot, "policy": policy, "trials": 1, "seed": 1,
-         "scenes": [scene], "render": DRAFTED.model_dump()}
+        {"nw-eval": 1, "name": "play", "robot": card.robot, "policy": policy, "trials": 1,
+         "seed": 1, "scenes": [scene], "render": DRAFTED.model_dump(), **task}
     )  # fmt: skip
     planned = plan(suite, checkpoint=checkpoint, allow_code=allow_code)
     (job,) = plan_jobs(planned, RunFolder(path=Path()))

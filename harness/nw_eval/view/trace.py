@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from nw_base.errors import PolicyError, StoreError
 from nw_policies.cards.load import CARD_FILE, parse_card
 from nw_policies.cards.observations import CameraObservation
 from nw_scenes.robots import get_robot, know_robot
+from nw_sim.rollout.mcap.topics import MOTION
 from nw_sim.rollout.replaying.logged import LoggedTrial, read_logged_trial
 
 F64 = NDArray[np.float64]
@@ -58,6 +59,8 @@ class Trace:
         frames: times, s, of the ego camera's pictures, ascending, and the pictures (H, W, 3); none
             where they were not kept.
         is_seen: whether the policy was given these pictures; None where that is not known.
+        ghost: as `bodies`, where they should have been by the motion that was to be tracked; empty
+            where none was.
     """
 
     logged: LoggedTrial
@@ -70,6 +73,7 @@ class Trace:
     series: tuple[Series, ...]
     frames: tuple[F64, tuple[NDArray[np.uint8], ...]]
     is_seen: bool | None
+    ghost: dict[str, tuple[F64, F64]] = field(default_factory=dict[str, tuple[F64, F64]])
 
     @property
     def trunk(self) -> F64:
@@ -115,7 +119,8 @@ def read_trace(path: Path) -> Trace:
     for topic, time_ns, message in logged.log.messages(*_TOPICS):
         messages[topic].append((time_ns * 1e-9, message))
     try:
-        return _trace(logged, messages)
+        trace = _trace(logged, messages)
+        return replace(trace, ghost=_ghost(logged, trace.times))
     except (ValueError, LookupError) as error:
         reason = clean(error, at_most=200)
         raise StoreError(f"{path} is damaged: {reason}", fix="run the trial again") from error
@@ -147,6 +152,27 @@ def _trace(logged: LoggedTrial, messages: dict[str, list[tuple[float, Any]]]) ->
         frames=(np.array([time for time, _ in ego]), tuple(picture for _, picture in ego)),
         is_seen=_is_seen(logged),
     )
+
+
+def _ghost(logged: LoggedTrial, times: F64) -> dict[str, tuple[F64, F64]]:
+    """Return where the bodies of a robot should have been at times, s; empty without a motion."""
+    if MOTION not in logged.log.attachments():
+        return {}
+    from nw_sim.rollout.library import Library
+    from nw_sim.rollout.replaying.policy_switch import open_replayed
+
+    with open_replayed(logged, Library()) as trial:
+        world, placed = trial.episode.world, trial.episode.task.reference
+        if placed is None:
+            return {}
+        frames = [placed.at(round(time * world.control_rate)) for time in times.tolist()]
+        root = np.array([[*one.root_position, *one.root_quat] for one in frames])
+        angles = np.array([one.joint_positions for one in frames])
+        places, quats = world.kinematics(root, angles, world.robot.bodies)
+    return {
+        name: (places[:, number], quats[:, number])
+        for number, name in enumerate(world.robot.bodies)
+    }
 
 
 def _is_seen(logged: LoggedTrial) -> bool | None:

@@ -29,7 +29,9 @@ from nw_policies.cards.observations import (
     Observation,
     PluginObservation,
     ProprioObservation,
+    ReferenceObservation,
 )
+from nw_policies.cards.reference import Reference
 from nw_policies.cards.terms import AppliedAction, LastOutput
 from nw_policies.cards.terms import Command as CommandTerm
 
@@ -151,6 +153,8 @@ class Card(CardModel):
     """Inputs of the checkpoint that an output of its last step feeds, and that output: `{h_in:
     h_out}`; of a TorchScript file `{h: {output: 1, shape: [1, 12]}}`. None = the pairs that the
     names of an ONNX graph show, and nothing of another file."""
+    reference: Reference | None = None
+    """The motion that the policy tracks; None = it tracks none."""
 
     @model_validator(mode="before")
     @classmethod
@@ -209,6 +213,9 @@ class Card(CardModel):
     def _check_terms(self) -> None:
         """Refuse terms that need what the card does not say."""
         for name, observation in self.observations.items():
+            if isinstance(observation, ReferenceObservation) and self.reference is None:
+                message = f"{name!r} is of a reference motion, and the card names none"
+                raise ValueError(f"{message}; add `reference: {{file: dance.npz}}`")
             if not isinstance(observation, ProprioObservation):
                 continue
             terms = observation.frame_terms
@@ -246,10 +253,10 @@ class Card(CardModel):
 
     @property
     def hears(self) -> frozenset[str]:
-        """What tells the policy what to do: `command`, `speed`, or the `way` to a waypoint.
+        """What tells the policy what to do: `command`, `speed`, the `way` to a waypoint, `motion`.
 
         What a sensor of a package reads is its own affair: it may be any of them. A `zero` policy
-        answers the same whatever it is told, so all can be told to it.
+        answers the same whatever it is told, so all can be told to it; a motion must be named.
         """
         heard: set[str] = {"command"} if self.adapter == "zero" else set()
         for seen in self.observations.values():
@@ -259,6 +266,8 @@ class Card(CardModel):
                 heard.add("way")
             elif isinstance(seen, PluginObservation):
                 heard |= {"command", "speed"}
+        if self.reference is not None:
+            heard.add("motion")
         return frozenset(heard)
 
     def input_parts(self) -> tuple[tuple[str | None, tuple[str, ...]], ...]:

@@ -344,6 +344,7 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
     faults: list[Problem | None] = [
         *_feet_problems(card, file, robot),
         *_camera_problems(card, file, robot),
+        *_reference_problems(card, file, robot),
     ]
     joints = own
     if (named := card.control.joints) is not None:
@@ -364,6 +365,23 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
         faults += _range_problems(file, pose, joints, robot)
     problems = [problem for problem in faults if problem is not None]
     return sorted(problems, key=lambda problem: (problem.line, problem.column))
+
+
+def _reference_problems(card: Card, file: YamlFile, robot: RobotSpec) -> Iterator[Problem]:
+    """Yield a problem for each body and joint of the motion that the robot does not have."""
+    if (reference := card.reference) is None:
+        return
+    anchor = () if reference.anchor is None else (reference.anchor,)
+    for key, names, known in (
+        ("anchor", anchor, robot.bodies),
+        ("bodies", reference.bodies or (), robot.bodies),
+        ("joints", map(short_name, reference.joints or ()), [*map(short_name, robot.joints)]),
+    ):
+        for index, name in enumerate(names):
+            if name not in known:
+                place = ("reference", key, *([] if key == "anchor" else [index]))
+                text = f"reference.{key}: the robot {robot.name} has no {name!r}"
+                yield file.problem(place, text, nearest(name, known))
 
 
 def _feet_problems(card: Card, file: YamlFile, robot: RobotSpec) -> list[Problem | None]:

@@ -18,6 +18,7 @@ from pydantic import (
 
 from nw_base.plugins import SENSORS, known_or_raise
 from nw_policies.cards.model import CONTROL_RATE, CardModel, Latency, Limits, Rate
+from nw_policies.cards.reference_terms import AnyReferenceTerm, ReferenceTerm
 from nw_policies.cards.terms import LAYOUTS, AnyTerm, LayoutName, Term
 from nw_policies.cards.wrappers import NamedBy, Noise, Wrapper, names_of
 
@@ -100,6 +101,30 @@ class ProprioObservation(BaseObservation):
         if self.layout is not None:
             return LAYOUTS[self.layout]
         return tuple(self.terms or ())
+
+
+Ahead = Annotated[int, Field(ge=-1000, le=1000)]
+
+
+class ReferenceObservation(BaseObservation):
+    """Numbers of the motion that the policy tracks, which the card's `reference` names."""
+
+    sensor: Literal["reference"]
+    terms: Annotated[list[ReferenceTerm], Field(min_length=1, max_length=20)]
+    """The groups of numbers of one frame, in this order."""
+    ahead: Annotated[tuple[Ahead, ...], Field(min_length=1, max_length=100)] = (0,)
+    """Frames that are seen, one behind the other: how many control steps each lies ahead. 0 = the
+    frame of this instant; trainings in whole_body_tracking and mjlab show 1, the frame that the
+    next step is to reach. Beyond its ends the motion stands still."""
+    clip: Limits | None = None
+    """Limits of every number after scaling."""
+    history: Annotated[History, BeforeValidator(_steps_only)] | None = None
+    """Earlier frames that go along, or just their number; null = the present frame alone."""
+
+    @property
+    def frame_terms(self) -> tuple[tuple[AnyReferenceTerm, int], ...]:
+        """The terms of one frame, each with how many control steps it lies ahead."""
+        return tuple((term, steps) for steps in self.ahead for term in self.terms)
 
 
 def selected_indices(select: list[int | str], size: int, *, of: str = "frame") -> list[int]:
@@ -426,6 +451,7 @@ class DirectionObservation(BaseObservation):
 
 BuiltInObservation = (
     ProprioObservation
+    | ReferenceObservation
     | ScandotsObservation
     | HeightmapObservation
     | SplatRgbObservation

@@ -29,7 +29,9 @@ _NUMBERS = 10_000
 """Of one constant."""
 
 
-class _Term(CardModel):
+class ScaledTerm(CardModel):
+    """What all terms have: numbers that are scaled."""
+
     scale: float | list[float] = 1.0
     """Factor, one for all numbers of the term or one each."""
     offset: float = 0.0
@@ -38,7 +40,7 @@ class _Term(CardModel):
     """Limits before scaling. Limits after scaling are the observation's `clip`."""
 
 
-class AngularVelocity(_Term):
+class AngularVelocity(ScaledTerm):
     """Angular velocity, rad/s (3), of the robot's IMU if it has one, else of the trunk."""
 
     term: Literal["ang_vel"]
@@ -46,7 +48,7 @@ class AngularVelocity(_Term):
     """Whose axes the numbers are along."""
 
 
-class LinearVelocity(_Term):
+class LinearVelocity(ScaledTerm):
     """Velocity of a point of the trunk, m/s (3). `yaw` is the world frame turned by the yaw."""
 
     term: Literal["lin_vel"]
@@ -56,7 +58,7 @@ class LinearVelocity(_Term):
     """The point, in the trunk frame, m: where the velocity sensor of the training sat."""
 
 
-class Gravity(_Term):
+class Gravity(ScaledTerm):
     """Direction of gravity, a unit vector (3), in the frame of the IMU, or else of the trunk.
 
     It is (0, 0, -1) when level.
@@ -65,19 +67,19 @@ class Gravity(_Term):
     term: Literal["gravity"]
 
 
-class RollPitch(_Term):
+class RollPitch(ScaledTerm):
     """Roll and pitch of the trunk, rad (2)."""
 
     term: Literal["roll_pitch"]
 
 
-class Imu(_Term):
+class Imu(ScaledTerm):
     """Roll, pitch, 0, rad (3), as extreme-parkour lays them out."""
 
     term: Literal["imu"]
 
 
-class Yaw(_Term):
+class Yaw(ScaledTerm):
     """Heading of the trunk: its yaw, rad in [-pi, pi), positive to the left."""
 
     term: Literal["yaw"]
@@ -87,7 +89,7 @@ class Yaw(_Term):
     """`angle`: (1). `sine_cosine`: (2), without the jump."""
 
 
-class Orientation(_Term):
+class Orientation(ScaledTerm):
     """Orientation of the trunk in the world: a unit quaternion (4) q_world_trunk."""
 
     term: Literal["orientation"]
@@ -95,7 +97,7 @@ class Orientation(_Term):
     """Which number stands where: Isaac Lab from 3 and ROS have `xyzw`, MuJoCo has `wxyz`."""
 
 
-class Acceleration(_Term):
+class Acceleration(ScaledTerm):
     """What an accelerometer reads, m/s^2 (3) along the axes of the IMU, or else the trunk.
 
     That is the point's acceleration minus gravity: (0, 0, 9.806) at rest, zeros in free fall.
@@ -106,7 +108,7 @@ class Acceleration(_Term):
     """Where it sits, from the IMU, or else the trunk's origin, along these axes, m."""
 
 
-class DeltaYaw(_Term):
+class DeltaYaw(ScaledTerm):
     """Angle from the heading to the next waypoint, rad in [-pi, pi), positive to the left."""
 
     term: Literal["delta_yaw"]
@@ -114,13 +116,13 @@ class DeltaYaw(_Term):
     """How many times the angle stands there."""
 
 
-class Command(_Term):
+class Command(ScaledTerm):
     """Velocity command vx, vy (m/s, yaw frame) and yaw rate (rad/s) of the card's `command` (3)."""
 
     term: Literal["command"]
 
 
-class Speed(_Term):
+class Speed(ScaledTerm):
     """Forward speed that the card's `command` asks for, m/s (1)."""
 
     term: Literal["speed"]
@@ -130,7 +132,7 @@ JointKeys = Annotated[list[Foot], Field(min_length=1, max_length=200)]
 """Joints, types or patterns, as the keys of `control.scale` are."""
 
 
-class _OfJoints(_Term):
+class _OfJoints(ScaledTerm):
     leave_out: JointKeys | None = None
     """Joints that it has no number for, such as the positions of wheels: names, types, patterns."""
 
@@ -157,7 +159,7 @@ class JointVelocity(_OfJoints):
     term: Literal["joint_vel"]
 
 
-class _FedBack(_Term):
+class _FedBack(ScaledTerm):
     clipped: bool = False
     """Whether it is fed back after `control.clip`, as legged_gym does; else as the network said it,
     as extreme-parkour does."""
@@ -178,7 +180,7 @@ class LastOutput(_FedBack):
     """
 
 
-class FootContacts(_Term):
+class FootContacts(ScaledTerm):
     """1 for a foot on the ground (force over 2 N), 0 for one in the air: one for each foot."""
 
     term: Literal["foot_contacts"]
@@ -202,7 +204,7 @@ class Standing(CardModel):
     """The phase of every foot then; null = every number of the term is 0."""
 
 
-class GaitClock(_Term):
+class GaitClock(ScaledTerm):
     """A clock that paces the feet: functions of the phase of each of them.
 
     Phase = (`frequency` * seconds since the start + offset of the foot) modulo 1, in cycles; the
@@ -225,7 +227,7 @@ class GaitClock(_Term):
     """null = the clock runs at any command."""
 
 
-class Constant(_Term):
+class Constant(ScaledTerm):
     """Numbers that never change."""
 
     term: Literal["constant"]
@@ -258,7 +260,7 @@ class Constant(_Term):
         return self
 
 
-def _bare_word(value: Any) -> Any:
+def bare_word(value: Any) -> Any:
     """Read `joint_vel` as `{term: joint_vel}`."""
     return {"term": value} if isinstance(value, str) else value
 
@@ -283,7 +285,7 @@ AnyTerm = (
     | GaitClock
     | Constant
 )
-Term = Annotated[Annotated[AnyTerm, Field(discriminator="term")], BeforeValidator(_bare_word)]
+Term = Annotated[Annotated[AnyTerm, Field(discriminator="term")], BeforeValidator(bare_word)]
 
 
 def check_feet(term: FootContacts, feet: Sequence[str]) -> None:

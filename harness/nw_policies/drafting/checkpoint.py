@@ -18,7 +18,7 @@ import json
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, assert_never, cast
 
@@ -143,6 +143,12 @@ class ExporterMetadata:
         default_factory=dict[str, tuple[float, float]]
     )
     """Ranges of the commanded velocities, by lin_vel_x, lin_vel_y (m/s) and ang_vel_z (rad/s)."""
+    anchor: str = ""
+    """The body by which the policy sees the motion that it tracks."""
+    bodies: tuple[str, ...] = ()
+    """The bodies that are compared with those of the motion."""
+    motion_file: str = ""
+    """Of the training."""
     activation: str = ""
     """Between the layers of the network."""
     model: str = ""
@@ -362,7 +368,11 @@ def _onnx(data: bytes, path: Path, sha256: str) -> CheckpointFacts:
         outputs=tuple(array for array in outputs if array.name not in state.values()),
         recurrent=tuple(f"{source} -> {target}" for source, target in state.items()),
         metadata=metadata,
-        exporter=read_exporter_metadata(metadata),
+        exporter=(
+            _holosoma(metadata, sum(array.shape[-1] or 0 for array in inputs if array.shape) - 1)
+            if {"dof_names", "kp", "kd"} <= metadata.keys()
+            else read_exporter_metadata(metadata)
+        ),
     )
 
 
@@ -438,14 +448,54 @@ def read_exporter_metadata(entries: Mapping[str, str]) -> ExporterMetadata | Non
         default_joint_pos=_numbers(text["default_joint_pos"]),
         action_scale=_numbers(text["action_scale"]),
         observation_terms=_exported_terms(terms, entries),
-        notes=(*notes, *_unread(entries, {*_NUMBERS, *_NAMES, *columns})),
+        anchor=entries.get("anchor_body_name", "").strip(),
+        bodies=_names(entries.get("body_names", "")),
+        notes=(*notes, *_unread(entries, {*_NUMBERS, *_NAMES, *_OF_MOTION, *columns})),
     )
 
 
+_TERMS_OF_HOLOSOMA = ("actions", "base_ang_vel", "dof_pos", "dof_vel")
+_MOTION_OF_HOLOSOMA = ("motion_command", "motion_ref_ori_b")
+
+
+def _holosoma(entries: Mapping[str, str], size: int) -> ExporterMetadata:
+    """Return the metadata of holosoma, which are JSON.
+
+    The file names no terms: a policy that tracks a motion without knowing where it is sees those of
+    `holosoma_inference`, in the order of their names, with a unit of action of 1 rad.
+
+    Args:
+        entries: of the file.
+        size: numbers that it takes, beside the number of the frame.
+    """
+
+    def listed(name: str) -> list[Any]:
+        try:
+            value = json.loads(entries[name])
+        except (ValueError, RecursionError):
+            return []
+        return cast("list[Any]", value) if isinstance(value, list) else []
+
+    joints = len(listed("dof_names"))
+    is_tracker = size == 5 * joints + 9
+    names = (*_TERMS_OF_HOLOSOMA, *_MOTION_OF_HOLOSOMA) if is_tracker else ()
+    term = ExportedTerm(name="", scale=(1.0,), clip=(-math.inf, math.inf), history=1)
+    gains = {name: [x for x in listed(name) if isinstance(x, int | float)] for name in ("kp", "kd")}
+    return ExporterMetadata(
+        joint_names=tuple(map(str, listed("dof_names"))),
+        joint_stiffness=tuple(gains["kp"]),
+        joint_damping=tuple(gains["kd"]),
+        action_scale=(1.0,) if is_tracker else (),
+        observation_terms=tuple(replace(term, name=name) for name in names),
+        notes=_unread(entries, {"dof_names", "kp", "kd", "robot_urdf", "robot_urdf_path"}),
+    )
+
+
+_OF_MOTION = ("anchor_body_name", "body_names")
 _COLUMNS = ("scale", "clip", "history_length", "flatten_history_dim")
 _NO_EFFECT = frozenset({"run_path", "producer", "pytorch_version", "exploy_version", "author"})
 """Entries of metadata that say where a file is from."""
-_VELOCITIES = frozenset({"", "twist", "base_velocity", "velocity", "velocity_commands"})
+_VELOCITIES = frozenset({"", "motion", "twist", "base_velocity", "velocity", "velocity_commands"})
 
 
 def _unread(entries: Mapping[str, str], read: Collection[str]) -> tuple[str, ...]:
@@ -503,9 +553,12 @@ def _exported_terms(names: Sequence[str], entries: Mapping[str, str]) -> tuple[E
         *map(column, _COLUMNS),
         strict=True,
     )
+    # What a tracking policy is commanded is its motion.
+    is_motion = entries.get("command_names", "").strip("[]'\" ") == "motion"
     return tuple(
         ExportedTerm(
             name=name,
+            function="motion_command" if is_motion and name == "command" else "",
             scale=_scale(scale),
             clip=_clip(clip),
             history=_history(history),

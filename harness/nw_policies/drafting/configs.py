@@ -31,6 +31,7 @@ from nw_policies.drafting.fields import (
     texts_of,
 )
 from nw_policies.drafting.layouts import LEG_BY_LEG, RIGHT_FIRST, TYPE_BY_TYPE
+from nw_policies.drafting.tracking import MOTION_COMMAND
 from nw_scenes.robots import RobotSpec
 
 Data = Fields
@@ -368,6 +369,7 @@ def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMet
         physics_rate=per_second(period[0]),
         observation_terms=tuple(terms),
         observation_clip=config.number("clip_obs"),
+        motion_file=str(config.get("motion_file") or ""),
         model=str(config.get("model_name") or ""),
         joint_count=count,
         guessed_order=is_guess,
@@ -596,6 +598,9 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
     steps = group.number("history_length")
     terms: list[ExportedTerm] = []
     notes: list[str] = []
+    commands = data.below("commands")
+    motions = [name for name in commands if "anchor_body_name" in commands.below(name)]
+    motion = commands.below(motions[0]) if motions else Fields()
     for name, words in group.items():
         term = _dict(words)
         if "func" in term:
@@ -605,6 +610,9 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
                 listed_joints = asset_cfg["joint_names"]
                 if listed_joints != action.get("joint_names"):
                     notes.append(f"{name} lists joints in an order of its own: {listed_joints}")
+            command = str(term.below("params").get("command_name"))
+            if function == "generated_commands" and command in motions:
+                function = MOTION_COMMAND
             described = _manager_term(name, term, function=function, steps=steps)
             grid, turn = _grid_of(scene, term.below("params"))
             if turn not in {None, True, "yaw"}:
@@ -642,6 +650,9 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
         physics_rate=per_second(step),
         speeds=_speeds(data.get("commands")),
         observation_terms=tuple(terms),
+        anchor=str(motion.get("anchor_body_name") or ""),
+        bodies=motion.texts("body_names"),
+        motion_file=str(motion.get("motion_file") or ""),
         guessed_order=is_guess and known,
         notes=(*_action_notes(kind, own, pose), *notes),
     )

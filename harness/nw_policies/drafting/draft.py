@@ -47,6 +47,7 @@ from nw_policies.drafting.notation import (
     quoted,
     slug,
 )
+from nw_policies.drafting.tracking import TABLES, reference_lines, tracks
 from nw_policies.drafting.trained import (
     KNOWN_ACTIVATIONS,
     network_lines,
@@ -74,6 +75,7 @@ def write_card_draft(
     layout: str | None = None,
     beside: Mapping[str, str] | None = None,
     statistics: Path | None = None,
+    motions: Sequence[str] = (),
 ) -> str:
     """Return the text of a card, to be saved as policy.yaml beside the checkpoint.
 
@@ -88,6 +90,7 @@ def write_card_draft(
         layout: name of the published layout that the card is to have; None = the likeliest.
         beside: name and text of files beside the checkpoint, for facts that it lacks.
         statistics: the `VecNormalize` of Stable-Baselines3 that was saved with it.
+        motions: files below the card's folder that may be the motion which it tracks.
 
     Raises:
         PolicyError: the file holds weights of a network that is not known here, does not fit
@@ -143,9 +146,25 @@ def write_card_draft(
         *control_lines(facts.exporter, robot, frame, clip=network.clip if network else None),
         "",
         *body,
+        *_reference(facts, robot, motions, folder),
         *other_layouts(parts, robot),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _reference(
+    facts: CheckpointFacts, robot: RobotSpec, motions: Sequence[str], folder: Path | None
+) -> list[str]:
+    """Return the lines of the motion that the policy tracks; none where nothing speaks of one."""
+    known = facts.exporter or ExporterMetadata()
+    words = [
+        word.rpartition("/")[2]
+        for term in known.observation_terms
+        for word in (term.name, term.function)
+    ]
+    if not tracks(facts, known, words):
+        return []
+    return ["", *reference_lines(facts, known, robot, motions, _file_below(facts, folder)[0])]
 
 
 _ACTIVATIONS = {"leakyrelu": "leaky_relu", "lrelu": "leaky_relu", "swish": "silu"}
@@ -169,6 +188,7 @@ def draft_of(
     layout: str | None = None,
     beside: Mapping[str, str] | None = None,
     statistics: str | None = None,
+    motions: Sequence[str] = (),
     taken: int = 0,
 ) -> dict[str, Any]:
     """Return the card of a checkpoint; as `write_card_draft`, from and as plain values.
@@ -192,6 +212,7 @@ def draft_of(
         layout=layout,
         beside=beside,
         statistics=None if statistics is None else Path(statistics),
+        motions=motions,
     )
     return {"text": text, "widths": _widths(facts, get_robot(robot), beside or {})}
 
@@ -222,12 +243,17 @@ def _name(path: Path) -> str:
     return (folder if _NAMELESS.fullmatch(path.stem) else own) or own or "policy"
 
 
-def _checkpoint(facts: CheckpointFacts, folder: Path | None) -> list[str]:
+def _file_below(facts: CheckpointFacts, folder: Path | None) -> tuple[str, bool]:
+    """Return the checkpoint's path below a card's folder, and whether it lies there."""
     # A link counts by where it lies, not by what it points to.
     path = facts.path.parent.resolve() / facts.path.name
     base = path.parent if folder is None else folder.resolve()
     beside = path.is_relative_to(base)
-    file = path.relative_to(base).as_posix() if beside else path.name
+    return path.relative_to(base).as_posix() if beside else path.name, beside
+
+
+def _checkpoint(facts: CheckpointFacts, folder: Path | None) -> list[str]:
+    file, beside = _file_below(facts, folder)
     lines = ["checkpoint:", f"  file: {quoted(file)}"]
     if not beside:
         note = "it does not lie beside this card: copy it there, or give --checkpoint"
@@ -273,8 +299,8 @@ def _body(
         body += ["", f"inputs: {{{', '.join(inputs)}}}"]
     if len(facts.outputs) > 1:
         first, *rest = sorted(facts.outputs, key=lambda output: _unlikeness(output, joints))
-        others = plain(", ".join(array.name for array in rest))
-        body += ["", f"output: {quoted(first.name)}  {CHECK} or {others}"]
+        others = plain(", ".join(array.name for array in rest if array.name not in TABLES))
+        body += ["", f"output: {quoted(first.name)}" + (f"  {CHECK} or {others}" if others else "")]
     return body, parts
 
 

@@ -97,7 +97,7 @@ _PASSED_OVER: Mapping[str, Mapping[str, str]] = {
         "it is of the controller": r"""
             (.*\.)?(model_name|framework|num_observations|rows|cols|use_history|fixed_kp|
             fixed_kd|joint_controller_names|wheel_indices|ang_vel_axis|ang_vel_type|
-            inference_\w+)
+            inference_\w+|waist_joint_indices)
         """,
     },
     "gym": {

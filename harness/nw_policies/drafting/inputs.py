@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from nw_policies.drafting.checkpoint import ArrayFacts, CheckpointFacts, ExportedTerm, ScriptInput
 from nw_policies.drafting.layouts import SCANS, frames_of, is_scan
 from nw_policies.drafting.notation import CHECK, RATE_LINE, key
+from nw_policies.drafting.tracking import TIME_STEP
 from nw_policies.drafting.vectors import (
     Likely,
     ObservationDraft,
@@ -139,6 +140,9 @@ def parts_of(
             )
             for index, channels in enumerate(wanted.images)
         )
+    if array.name == TIME_STEP:
+        lines = ("sensor: reference", "terms: [frame]  # of the motion that the file holds")
+        return (ObservationDraft(name=name, lines=lines),)
     batch, shape = _batch(array.shape), _without_batch(array.shape)
     if wanted.seen:
         lines = _image(array, shape) if len(shape) >= 3 else _depth(shape)

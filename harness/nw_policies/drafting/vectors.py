@@ -25,6 +25,7 @@ from nw_policies.drafting.layouts import (
     scan_of,
 )
 from nw_policies.drafting.notation import CHECK, in_brackets, number
+from nw_policies.drafting.tracking import AHEAD, REFERENCE_TERM_OF
 
 _COMMAND = "velocity_commands"
 _WIDEST = 10_000
@@ -66,7 +67,7 @@ def named_parts(
             own = f"{name}_scan" if len(groups) > 1 else name
         else:
             lines = _terms(group, left_out)
-            own = name
+            own = f"{name}_motion" if motion_term_of(first) else name
         if any(part.name == own for part in parts):
             own = f"{own}_{len(parts) + 1}"
         parts.append(ObservationDraft(name=own, lines=tuple(lines)))
@@ -89,12 +90,18 @@ def named_parts(
 
 def term_of(term: ExportedTerm) -> tuple[str, int | None] | None:
     """Return our word for a term, and its size: by its function, else by its name."""
-    known = TERM_OF.get(term.function) or TERM_OF.get(term.name)
+    known = motion_term_of(term) or TERM_OF.get(term.function) or TERM_OF.get(term.name)
     if known is None and term.name.endswith(_COMMAND):
         known = TERM_OF[_COMMAND]  # unitree_rl_lab has `keyboard_velocity_commands`.
     if known is not None and known[0] == "clock" and not term.keys:
         return None  # Its rate is unknown.
     return known
+
+
+def motion_term_of(term: ExportedTerm) -> tuple[str, int | None] | None:
+    """Return our words for a term of the motion that is tracked; None of any other term."""
+    own = term.name.rpartition("/")[2]  # rl_sar has the name of the training before it.
+    return REFERENCE_TERM_OF.get(term.function) or REFERENCE_TERM_OF.get(own)
 
 
 def sized_terms(terms: Sequence[ExportedTerm], joints: int) -> tuple[ExportedTerm, ...]:
@@ -110,7 +117,8 @@ def sized_terms(terms: Sequence[ExportedTerm], joints: int) -> tuple[ExportedTer
         if known is not None:
             # Isaac Lab's function `joint_pos` is absolute, mjlab's and others' terms are not.
             keys = "relative: false" if term.function == "joint_pos" else term.keys
-            term = replace(term, width=joints if known[1] is None else known[1], keys=keys)  # noqa: PLW2901 - the same term.
+            each = joints * (known[0].count("+") + 1)  # Of each of its words.
+            term = replace(term, width=each if known[1] is None else known[1], keys=keys)  # noqa: PLW2901 - the same term.
         sized.append(term)
     return tuple(sized)
 
@@ -167,7 +175,8 @@ def zeros_note(size: int, what: str = "what the checkpoint really sees") -> str:
 
 
 def _kind(term: ExportedTerm) -> tuple[str, int]:
-    return term.name if _is_scan(term) else "", term.history or 1
+    kind = "motion" if motion_term_of(term) else term.name if _is_scan(term) else ""
+    return kind, term.history or 1
 
 
 def _sizes(terms: Sequence[ExportedTerm], size: int) -> list[int]:
@@ -189,7 +198,8 @@ def _sizes(terms: Sequence[ExportedTerm], size: int) -> list[int]:
 
 
 def _terms(group: Sequence[tuple[ExportedTerm, int]], left_out: Sequence[str]) -> list[str]:
-    lines = ["sensor: proprio", "terms:"]
+    is_motion = motion_term_of(group[0][0]) is not None
+    lines = [f"sensor: {'reference' if is_motion else 'proprio'}", "terms:"]
     for term, width in group:
         keys, unread = _keys(term, width)
         if known := term_of(term):
@@ -204,6 +214,8 @@ def _terms(group: Sequence[tuple[ExportedTerm, int]], left_out: Sequence[str]) -
             ]
         if unread:
             lines[-1] += f"  {CHECK} its {unread} cannot be read"
+    if is_motion:
+        lines.append(AHEAD)
     if (steps := group[0][0].history or 1) > 1:
         lines.append(f"history: {{steps: {steps}, {group[0][0].form}}}")
         if any(term.flat_history is False for term, _ in group):

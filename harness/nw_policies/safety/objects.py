@@ -7,11 +7,13 @@ tensors needs, and calls nothing: a tensor becomes a `TensorRef`, an object of a
 
 The parameters that brax saves are a pickle of their own (`pickle.dump`), with NumPy's arrays, or
 those of JAX, in it. Such a file is read in the same way: an array becomes a `TensorRef` whose
-numbers are those of the pickle.
+numbers are those of the pickle. In a file of joblib the numbers of an array stand in the file
+itself, behind the instruction that describes it.
 """
 
 from __future__ import annotations
 
+import io
 import math
 import pickletools
 import re
@@ -141,13 +143,15 @@ _OPAQUE = {
     "numpy.random.bit_generator.__pyx_unpickle_SeedSequence",
 }
 _OBJECTS = re.compile(
-    r"(brax|flax|optax|gymnasium\.spaces|gym\.spaces)\.[\w.]+"
+    r"(brax|flax|optax|gymnasium\.spaces|gym\.spaces)\.[\w.]+|joblib\.numpy_pickle\.NumpyArrayWrapper"
     r"|stable_baselines3\.common\.(vec_env\.vec_normalize\.VecNormalize"
     r"|running_mean_std\.RunningMeanStd)"
 )
 """Classes of a pickled training whose attributes are read; nothing is imported."""
 _RECONSTRUCT = {"numpy.core.multiarray._reconstruct", "numpy._core.multiarray._reconstruct"}
 _ARRAY = "numpy.ndarray"
+_JOBLIB = "joblib.numpy_pickle.NumpyArrayWrapper"
+"""What joblib writes before the numbers of an array."""
 # `meta` has no numbers: an operator on such a tensor reads memory of somebody else's.
 _DEVICE = re.compile(r"(?!meta)[a-z]+(:[0-9]+)?")
 # How TorchScript writes lists with the type of their elements: the list is the first argument.
@@ -195,9 +199,12 @@ def read_index(
     """
     limits = limits or FileLimits()
     machine = _Machine(pickled=pickled)
+    stream = io.BytesIO(index)
     try:
-        for opcode, argument, _ in pickletools.genops(index):
+        for opcode, argument, _ in pickletools.genops(stream):
             _instruction(opcode.name, pickled=pickled)(machine, argument)
+            if pickled and opcode.name == "BUILD":
+                machine.array_behind(stream)
         tree = machine.result()
     except _RefusedError as error:
         raise PolicyError(
@@ -316,6 +323,27 @@ class _Machine:
         # and that of opaque values.
         elif not isinstance(target, dict | Opaque):
             raise _RefusedError(f"sets the state of a {type(target).__name__}")
+
+    def array_behind(self, stream: io.BytesIO) -> None:
+        """Read the numbers that joblib writes behind the description of an array, if that is last.
+
+        They begin after a byte that says how many bytes of padding follow it, if the description
+        has an alignment.
+        """
+        target = self.stack[-1]
+        if not isinstance(target, Record) or target.name != _JOBLIB:
+            return
+        match target.state:
+            case {"shape": tuple() as size, "order": str() as order, "dtype": _Dtype() as dtype}:
+                shape = _integers(size)
+            case _:
+                raise ValueError("an array with a malformed description")
+        if target.state.get("numpy_array_alignment_bytes") is not None:
+            stream.read(int.from_bytes(stream.read(1), "little"))
+        count = math.prod(shape) * ITEM_BYTES[dtype.name]
+        if count < 0:
+            raise ValueError(f"an array of shape {shape}")
+        target.state = _array((None, shape, dtype, order == "F", stream.read(count)))
 
     def storage(self) -> None:
         match self.pop():

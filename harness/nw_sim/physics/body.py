@@ -59,6 +59,7 @@ class Body:
         self._place, self._turn = slice(start, start + 3), slice(start + 3, start + 7)
         self._rates = slice(rates, rates + 6)
         self._linear, self._angular = slice(rates, rates + 3), slice(rates + 3, rates + 6)
+        self._body_places: dict[tuple[str, ...], npt.NDArray[np.intp]] = {}
         self._joints = _places(model.jnt_qposadr[joints])
         self._joint_rates = _places(model.jnt_dofadr[joints])
 
@@ -181,6 +182,64 @@ class Body:
             mujoco.mj_objectVelocity(self._model, self._data, kind, self._carrier(imu), velocity, 1)
             rates = velocity[:3]
         return same_bits.product(rates, np.array(imu.R_body_imu))
+
+    def body_poses(self, names: tuple[str, ...]) -> tuple[Array, Array]:
+        """Return where bodies of the robot are in the world.
+
+        Args:
+            names: of `robot.bodies`.
+
+        Returns:
+            Positions of their origins, (B, 3) m, and quaternions w x y z, (B, 4).
+        """
+        places = self._body_places.get(names)
+        if places is None:
+            places = np.array([int(self._model.body(name).id) for name in names], dtype=np.intp)
+            self._body_places[names] = places
+        return self._data.xpos.take(places, axis=0), self._data.xquat.take(places, axis=0)
+
+    def kinematics(
+        self, root: Array, joint_positions: Array, names: tuple[str, ...]
+    ) -> tuple[Array, Array]:
+        """Return where bodies would be in T poses of the robot; its state stays as it is.
+
+        Args:
+            root: (T, 7) position, m, and quaternion of the robot's root in the world.
+            joint_positions: (T, J) rad.
+            names: of `robot.bodies`.
+
+        Returns:
+            Positions (T, B, 3) m and quaternions (T, B, 4).
+        """
+        data = mujoco.MjData(self._model)
+        places = [int(self._model.body(name).id) for name in names]
+        positions = np.empty((len(root), len(names), 3))
+        quats = np.empty((len(root), len(names), 4))
+        for number, (pose, angles) in enumerate(zip(root, joint_positions, strict=True)):
+            data.qpos[self._place], data.qpos[self._turn] = pose[:3], pose[3:]
+            data.qpos[self._joints] = angles
+            mujoco.mj_kinematics(self._model, data)
+            positions[number], quats[number] = data.xpos[places], data.xquat[places]
+        return positions, quats
+
+    def hangs_on(self) -> dict[str, str]:
+        """Return, by the name of each body of the robot but the root, the body it hangs on."""
+        parents = self._model.body_parentid
+        names = dict(zip(self.bodies, self.robot.bodies, strict=True))
+        return {
+            name: names[int(parents[number])]
+            for number, name in names.items()
+            if name != self.robot.root
+        }
+
+    def joint_bodies(self) -> dict[str, str]:
+        """Return, by the name of each joint of the robot, the body that it moves."""
+        names = dict(zip(self.bodies, self.robot.bodies, strict=True))
+        model = self._model
+        return {
+            joint: names[int(model.jnt_bodyid[model.joint(joint).id])]
+            for joint in self.robot.joints
+        }
 
     def moving(self) -> tuple[Array, Array, Array, Array, Array]:
         """Return what moves, now: views of the simulation's memory where that is possible.

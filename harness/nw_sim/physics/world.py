@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from nw_scenes.robots import RobotSpec
     from nw_scenes.robots.spec import ImuMount
     from nw_scenes.scene import Scene
+    from nw_sim.tasks import StartPose
 
 Array = npt.NDArray[np.float64]
 
@@ -173,6 +174,19 @@ class World(Body):
         self.start_yaw = yaw
         mujoco.mj_forward(self._model, data)
         # Nothing has been sensed before the first step.
+        self._forces = self._read_forces(np.zeros(len(self.robot.feet), dtype=np.bool_))
+        check(data, self.time)
+
+    def begin(self, pose: StartPose) -> None:
+        """Put the robot into a pose, moving, after a `reset`; servos steer to its joints."""
+        self._require_open()
+        data = self._data
+        data.qpos[self._place], data.qpos[self._turn] = pose.position, pose.quat
+        data.qpos[self._joints] = pose.joint_positions
+        data.qvel[self._linear], data.qvel[self._angular] = pose.velocity, pose.rates
+        data.qvel[self._joint_rates] = pose.joint_velocities
+        data.ctrl[:] = np.where(self._holds_pose, pose.joint_positions, 0.0)
+        mujoco.mj_forward(self._model, data)
         self._forces = self._read_forces(np.zeros(len(self.robot.feet), dtype=np.bool_))
         check(data, self.time)
 
@@ -454,6 +468,30 @@ class World(Body):
         if self.robot.pictured == "visuals":
             return self._looks.cast(self._data, origins, directions, exclude_body=body)
         return cast_at_visuals(self._model, self._data, origins, directions, exclude_body=body)
+
+    def ray_ghost(
+        self,
+        pose: tuple[Array, Array, Array],
+        origin: Array,
+        directions: Array,
+    ) -> Array:
+        """Cast rays at what the robot would look like in another pose.
+
+        Args:
+            pose: position (3,) m and quaternion (4,) of the trunk, and (J,) rad.
+            origin: (3,) of all rays, world frame.
+            directions: (N, 3) unit vectors, world frame.
+
+        Returns:
+            Distances (N,) m; inf where nothing is.
+        """
+        self._require_open()
+        data = mujoco.MjData(self._model)
+        data.qpos[self._place], data.qpos[self._turn], data.qpos[self._joints] = pose
+        mujoco.mj_kinematics(self._model, data)
+        if self.robot.pictured == "visuals":
+            return self._looks.cast(data, origin, directions, exclude_body=-1).distance
+        return cast_at_visuals(self._model, data, origin, directions).distance
 
     @property
     def geom_rgba(self) -> npt.NDArray[np.float32]:

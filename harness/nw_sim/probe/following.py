@@ -154,8 +154,8 @@ def _all_motions(card: Card) -> list[Motion]:
 def own_way(card: Card) -> list[Motion]:
     """Return what a policy does of itself, commanded or not: it goes ahead at the card's speed."""
     speed = commanded_speed(card.command)
-    if abs(speed) < _LEAST:
-        return []
+    if abs(speed) < _LEAST or card.reference is not None:
+        return []  # What tracks a motion goes where that goes.
     text = "on its way"
     return [Motion(words=text, velocity=(speed, 0.0, 0.0), axis=0, is_used=False, is_own=True)]
 

@@ -28,6 +28,7 @@ from nw_sim.rollout.job import StageClock, TrialJob
 from nw_sim.rollout.library import Library
 from nw_sim.rollout.opening import open_trial
 from nw_sim.sensors.proprio import commanded_speed
+from nw_sim.tasks import COURSE, TrackSettings
 
 Array = NDArray[np.float64]
 STUMBLES = 0.3
@@ -302,6 +303,8 @@ def _job(
     job = TrialJob(
         trial=trial,
         robot=bundle.card.robot,
+        # A policy that tracks a motion is told nothing else.
+        task=COURSE if bundle.card.reference is None else TrackSettings(start=0.0),
         duration=seconds,
         scene=reference,
         collision=collision,

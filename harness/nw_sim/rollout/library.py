@@ -16,8 +16,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
 
+    from nw_policies.cards import Card
     from nw_scenes.rays import RayScene
     from nw_sim.rollout.job import TrialJob
+    from nw_sim.tasks.reference import Reference
 
 
 class Library:
@@ -84,6 +86,21 @@ class Library:
         """
         know_robot(job.robot, job.robot_folder)
         return self.bundle(job.policy, job.checkpoint).by_its_own_runtime(job.operator)
+
+    def motion(self, bundle: Bundle, world: World, card: Card) -> Reference | None:
+        """Return the motion that a policy tracks, on its robot; None if it tracks none.
+
+        Args:
+            bundle: of the policy.
+            world: of the robot.
+            card: the bundle's, as the trial has it.
+
+        Raises:
+            PolicyError: the motion cannot be used.
+        """
+        from nw_sim.rollout.referenced import reference_of
+
+        return None if bundle.motion is None else reference_of(bundle, world, card)
 
     def _make_rays(self, reference: str, collision: Collision) -> RayScene:
         from nw_scenes.rays import RayScene

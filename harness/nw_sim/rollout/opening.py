@@ -96,6 +96,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             duration=job.duration,
             control_period=world.control_period,
             contact_termination=job.contact_termination,
+            reference=library.motion(bundle, world, card),
         )
         with extension_at_fault():
             task = open_task(with_command(job.task, setup.command), rules)
@@ -109,6 +110,8 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             policy.reset(_seed(trial.seed_sequence("policy")))
         height = scene.spawn.position[2] + robot.spawn_height
         world.reset(position=(start.x, start.y, height), yaw=start.yaw)
+        if start.pose is not None:
+            world.begin(start.pose)
         sensors = build_sensors(
             card,
             world,

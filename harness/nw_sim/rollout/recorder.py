@@ -17,6 +17,7 @@ from nw_sim.rollout.mcap.steps import Call, StepNote
 from nw_sim.rollout.mcap.topics import ELEMENTS, SHUTTERS
 from nw_sim.rollout.observed import LOG_CAMERA, LogCamera, Seen
 from nw_sim.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
+from nw_sim.rollout.referenced import packed_motion
 from nw_sim.sensors.proprio import velocity_at
 
 if TYPE_CHECKING:
@@ -85,6 +86,7 @@ class Recorder(Observer):
             return
         x, y, _ = self._episode.world.trunk_position.tolist()
         shutters = self._seen.shutters()
+        placed = self._episode.task.reference
         self._log.start(
             robot=self._trial.robot,
             mesh=self._trial.scene.mesh(),
@@ -102,6 +104,7 @@ class Recorder(Observer):
                 **({SHUTTERS: shutters} if shutters else {}),
             },
             attachments=job.attachments,
+            motion=b"" if placed is None else packed_motion(placed.motion),
             props=self._trial.scene.props,
             prop_bodies=self._episode.world.props,
         )

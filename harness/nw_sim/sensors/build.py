@@ -31,6 +31,7 @@ from nw_policies.cards.observations import (
     LidarObservation,
     PluginObservation,
     ProprioObservation,
+    ReferenceObservation,
     ScandotsObservation,
     SemanticsObservation,
     SplatRgbObservation,
@@ -44,6 +45,7 @@ from nw_sim.sensors.heights import Heightmap, PublishedScandots, Scandots
 from nw_sim.sensors.plugins import PluginSensor
 from nw_sim.sensors.proprio import Direction, Proprio
 from nw_sim.sensors.ray_sensors import Depth, Lidar, Semantics
+from nw_sim.sensors.reference import ReferenceRows
 from nw_sim.sensors.sensor import CLEAR, Air, Measurement, SceneView, Sensor, Spec, StepContext
 from nw_sim.sensors.wrappers import AddNoise, Chain, NamedWrapper, make_wrappers
 
@@ -173,6 +175,9 @@ class Maker:
                 spoils = self.protocol.spoils_first_observation
                 command = self.card.command
                 return Proprio(name, observation, command, control, robot.feet, spoils_first=spoils)
+            case ReferenceObservation():
+                control = JointControl.from_card(self.card, robot)
+                return ReferenceRows(name, observation, control)
             case ScandotsObservation():
                 if self.protocol.scandots_from_height_image:
                     return PublishedScandots(observation, rays, robot.height_camera_offset)
@@ -399,7 +404,7 @@ def check_card(
     maker = Maker(card=card, robot=own, protocol=STRICT, rays=_no_rays, code_from=code_from)
     specs: list[ObservationSpec] = []
     for name, observation in card.observations.items():
-        if isinstance(observation, ProprioObservation) and not can_move:
+        if isinstance(observation, ProprioObservation | ReferenceObservation) and not can_move:
             continue  # The joints are wrong; that has been said.
         try:
             pipeline = maker.pipeline(name, observation)

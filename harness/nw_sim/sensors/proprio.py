@@ -27,9 +27,10 @@ from nw_policies.cards.observations import (
     DirectionObservation,
     History,
     ProprioObservation,
+    ReferenceObservation,
     selected_indices,
 )
-from nw_policies.cards.terms import AnyTerm, Constant, GaitClock, term_size
+from nw_policies.cards.terms import Constant, GaitClock, ScaledTerm, term_size
 from nw_sim.sensors.sensor import Array, Measurement, Plain, Shot, StepContext
 
 Reader = Callable[[StepContext], ArrayLike]
@@ -112,7 +113,7 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
 
 
 def _joints(term: terms.JointPosition | terms.JointVelocity, control: JointControl) -> Reader:
-    pose, order = control.default_pose, _index(control.order, len(control.order))
+    pose, order = control.default_pose, joint_index(control.order, len(control.order))
     if term.leave_out:
         seen = terms.seen_joints(term, control.names)
         pose, order = pose[seen], control.order[seen]
@@ -197,13 +198,13 @@ def _fed_back(
 
 def _foot_contacts(term: terms.FootContacts, feet: Sequence[str]) -> Reader:
     terms.check_feet(term, feet)
-    order = _index(np.array([feet.index(foot) for foot in term.feet]), len(feet))
+    order = joint_index(np.array([feet.index(foot) for foot in term.feet]), len(feet))
     if term.filter == "none":
         return lambda moment: moment.world.foot_contacts[order]
     return lambda moment: (moment.world.foot_contacts | moment.world.previous_foot_contacts)[order]
 
 
-def _index(order: NDArray[np.intp], count: int) -> NDArray[np.intp] | slice:
+def joint_index(order: NDArray[np.intp], count: int) -> NDArray[np.intp] | slice:
     """Return what indexes `count` numbers in an order; a slice, which is faster, for their own."""
     return slice(None) if np.array_equal(order, np.arange(count)) else order
 
@@ -277,8 +278,8 @@ _PUBLISHED_FRAMES = 10
 _SPOILT_STEPS = 1
 
 
-class Proprio(Measurement):
-    """Numbers of the body at this moment: one whole frame, (n,) float32.
+class Rows(Measurement):
+    """Numbers of this moment in a row: one whole frame, (n,) float32.
 
     What the card takes of a frame, and its history, are its `form`.
     """
@@ -288,40 +289,41 @@ class Proprio(Measurement):
     def __init__(
         self,
         name: str,
-        observation: ProprioObservation,
-        command: Command,
-        control: JointControl,
-        feet: Sequence[str],
+        observation: ProprioObservation | ReferenceObservation,
+        terms: Sequence[ScaledTerm],
+        sizes: Sequence[int],
+        readers: Sequence[Reader],
         *,
+        key: str = "",
         spoils_first: bool = False,
     ) -> None:
-        """Prepare one reader for each term.
+        """Prepare a frame.
 
         Args:
             name: of the observation, for errors.
             observation: from the card.
-            command: the card's.
-            control: the card's.
-            feet: the robot's.
-            spoils_first: whether the protocol spoils the first observation of its own 53 numbers.
+            terms: of a frame.
+            sizes: how many numbers each has.
+            readers: of each.
+            key: what else its numbers depend on.
+            spoils_first: whether the first observation is spoilt, as in the published evaluation.
 
         Raises:
             PolicyError: a list of scales has another length than its term, or `select` or `zero`
-                name numbers that the frame does not have, or a term a foot that the robot has not.
+                name numbers that the frame does not have.
         """
-        terms = observation.frame_terms
         self._name = name
         self._observation = observation
-        self._sizes = [term_size(term, control.names) for term in terms]
+        self._sizes = [*sizes]
         bounds = np.cumsum([0, *self._sizes]).tolist()
         # Everything that never changes is written once.
         self._frame = np.zeros(bounds[-1])
         self._readers: list[tuple[slice, Reader]] = []
-        for term, a, b in zip(terms, bounds[:-1], bounds[1:], strict=True):
+        for term, read, a, b in zip(terms, readers, bounds[:-1], bounds[1:], strict=True):
             if isinstance(term, Constant):
                 self._frame[a:b] = term.values
             else:
-                self._readers.append((slice(a, b), reader(term, command, control, feet)))
+                self._readers.append((slice(a, b), read))
         scale = np.concatenate(
             [_scales(name, t, n) for t, n in zip(terms, self._sizes, strict=True)]
         )
@@ -333,17 +335,18 @@ class Proprio(Measurement):
         limited = any(t.clip for t in terms)
         self._limits = np.repeat(limits, self._sizes, axis=0) if limited else None
         self._clip = observation.clip
-        self._keep = _indices(name, observation.select, bounds[-1])
+        select = observation.select if isinstance(observation, ProprioObservation) else None
+        self._keep = _indices(name, select, bounds[-1])
         self._kept_sizes = self._sizes if self._keep is None else [len(self._keep)]
         self.shape: tuple[int, ...] = (bounds[-1],)
         self.dtype = np.dtype(np.float32)
-        self.form = self._form(spoils=spoils_first and observation.layout == "parkour53")
+        self.form = self._form(spoils=spoils_first)
         frame = " + ".join(str(size) for size in self._kept_sizes)
         history = observation.history
         self.sum_of = frame if history is None else f"{history.steps} x ({frame})"
         # Observations of one card that have the same terms read them once.
-        texts = [one.model_dump_json() for one in (*terms, command)]
-        self._key = f"{observation.clip}{texts}"
+        texts = [one.model_dump_json() for one in terms]
+        self._key = f"{observation.clip}{texts}{key}"
 
     def measure(self, moment: StepContext) -> NDArray[Any]:
         """Return the present frame."""
@@ -377,10 +380,49 @@ class Proprio(Measurement):
         return [Select(keep, spoils=spoils)] if keep is not None or spoils else []
 
 
-def _scales(name: str, term: AnyTerm, size: int) -> NDArray[np.float64]:
+class Proprio(Rows):
+    """Numbers of the body at this moment."""
+
+    def __init__(
+        self,
+        name: str,
+        observation: ProprioObservation,
+        command: Command,
+        control: JointControl,
+        feet: Sequence[str],
+        *,
+        spoils_first: bool = False,
+    ) -> None:
+        """Prepare one reader for each term.
+
+        Args:
+            name: of the observation, for errors.
+            observation: from the card.
+            command: the card's.
+            control: the card's.
+            feet: the robot's.
+            spoils_first: whether the protocol spoils the first observation of its own 53 numbers.
+
+        Raises:
+            PolicyError: as `Rows`, or a term names a foot that the robot does not have.
+        """
+        terms = observation.frame_terms
+        super().__init__(
+            name,
+            observation,
+            terms,
+            [term_size(term, control.names) for term in terms],
+            [reader(term, command, control, feet) for term in terms],
+            key=command.model_dump_json(),
+            spoils_first=spoils_first and observation.layout == "parkour53",
+        )
+
+
+def _scales(name: str, term: ScaledTerm, size: int) -> NDArray[np.float64]:
     if isinstance(term.scale, list) and len(term.scale) != size:
         raise PolicyError(
-            f"`{name}`: term {term.term} has {size} numbers but {len(term.scale)} scales",
+            f"`{name}`: term {getattr(term, 'term', '')} has {size} numbers but "
+            f"{len(term.scale)} scales",
             fix="give one scale, or one for each number",
         )
     return np.broadcast_to(np.asarray(term.scale, dtype=np.float64), size).copy()

@@ -30,6 +30,7 @@ from nw_sim.tasks.task import (
     Goal,
     Place,
     Readings,
+    StartPose,
     Streams,
     Task,
     TaskEvent,
@@ -37,6 +38,7 @@ from nw_sim.tasks.task import (
     TaskRules,
     TaskSettings,
 )
+from nw_sim.tasks.track import TrackSettings, TrackTask
 
 __all__ = [
     "COURSE",
@@ -47,19 +49,21 @@ __all__ = [
     "Limits",
     "Place",
     "Readings",
+    "StartPose",
     "Streams",
     "Task",
     "TaskEvent",
     "TaskFault",
     "TaskRules",
     "TaskSettings",
+    "TrackSettings",
     "fault_of",
     "open_task",
     "task_kinds",
 ]
 
 
-_CLASSES: tuple[type[Task], ...] = (Course, VelocityTask, PushTask, StandTask)
+_CLASSES: tuple[type[Task], ...] = (Course, VelocityTask, PushTask, StandTask, TrackTask)
 BUILT_IN: dict[str, type[Task]] = {cls.kind: cls for cls in _CLASSES}
 """By name."""
 _PLUGIN = "plug-in"
@@ -101,6 +105,7 @@ AnyTask = Annotated[
     | Annotated[VelocitySettings, Tag("velocity")]
     | Annotated[PushSettings, Tag("push")]
     | Annotated[StandSettings, Tag("stand")]
+    | Annotated[TrackSettings, Tag("track")]
     | Annotated[PluginTask, Tag(_PLUGIN)],
     Discriminator(_branch),
     BeforeValidator(_by_name, json_schema_input_type=Any),
@@ -141,6 +146,12 @@ def fault_of(
     Raises:
         PluginError: the package of its kind is broken.
     """
+    if "motion" in hears and settings.kind != TrackTask.kind:
+        return TaskFault(
+            ("kind",),
+            f"the policy tracks the motion of its card, and not what {settings.kind} asks for",
+            "write task: track",
+        )
     if (built_in := BUILT_IN.get(settings.kind)) is not None:
         return built_in.fault(settings, hears=hears, rules=rules)
     cls = _plugin(settings.kind)

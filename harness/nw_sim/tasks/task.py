@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from nw_base.plural import plural
 from nw_base.protocol import STRICT, EvaluationProtocol
 from nw_base.words import Outcome
 from nw_gate.scores import ScoreSpec
+
+if TYPE_CHECKING:
+    from nw_sim.tasks.reference import PlacedReference, Reference
 
 Array = NDArray[np.float64]
 Velocity = tuple[float, float, float]
@@ -48,12 +51,14 @@ class TaskRules:
         duration: simulated time after which a trial ends at the latest, s.
         control_period: seconds of one control step.
         contact_termination: whether a collision ends a trial.
+        reference: the motion that the policy tracks, on its robot; None = it tracks none.
     """
 
     protocol: EvaluationProtocol = STRICT
     duration: float = 12.0
     control_period: float = 0.02
     contact_termination: bool = True
+    reference: Reference | None = None
 
 
 class Streams(Protocol):
@@ -225,6 +230,15 @@ class Readings(Protocol):
         """Whether each foot is in contact, in the order of `robot.feet`."""
         ...
 
+    @property
+    def joint_positions(self) -> Array:
+        """(J,) rad, in the order of `robot.joints`."""
+        ...
+
+    def body_poses(self, names: tuple[str, ...]) -> tuple[Array, Array]:
+        """Return where bodies of the robot are: (B, 3) m, and (B, 4) quaternions w x y z; world."""
+        ...
+
     def monitored_force(self) -> float:
         """Return the largest contact force on any monitored geom, N."""
         ...
@@ -232,6 +246,17 @@ class Readings(Protocol):
     def monitored_forces(self) -> dict[str, float]:
         """Return the contact force on each monitored geom by name, N."""
         ...
+
+
+class StartPose(NamedTuple):
+    """A robot in motion, as a trial begins; world frame but for the rates."""
+
+    position: Array  # (3,) of the root, m
+    quat: Array  # (4,) of it, w x y z
+    velocity: Array  # (3,) of its origin, m/s
+    rates: Array  # (3,) in its own frame, rad/s
+    joint_positions: Array  # (J,) rad
+    joint_velocities: Array  # (J,) rad/s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,12 +269,14 @@ class Goal:
         yaw: its heading, rad.
         waypoints: (K, 3) m, in order; those that a viewer draws, and a camera shows as cones. None
             where the task has none.
+        pose: how the robot moves at the start; None = it stands in its default pose.
     """
 
     x: float
     y: float
     yaw: float
     waypoints: Array = field(default_factory=lambda: _NO_WAYPOINTS)
+    pose: StartPose | None = None
 
 
 class TaskEvent(NamedTuple):
@@ -296,7 +323,7 @@ class Task(Protocol):
         Args:
             settings: of the suite.
             hears: what tells the policy what to do, by its card: `command`, a velocity; `speed`, a
-                forward speed; `way`, the direction to a waypoint.
+                forward speed; `way`, the direction to a waypoint; `motion`, one of its own.
             rules: of the suite's trials.
         """
         del settings, hears, rules
@@ -358,6 +385,11 @@ class Task(Protocol):
     @property
     def command(self) -> Velocity | None:
         """The velocity that the task asks for now; None leaves it to the policy's card."""
+        return None
+
+    @property
+    def reference(self) -> PlacedReference | None:
+        """The motion that is to be tracked, where it lies in the trial; None = there is none."""
         return None
 
     @property

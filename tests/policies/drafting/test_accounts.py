@@ -243,7 +243,7 @@ def test_metadata_of_an_exporter_leaves_nothing_to_say():
         ({"action_scale": "{'.*': 0.25}"}, "action_scale", "cannot be read: {'.*': 0.25}"),
         ({"observation_terms_scale": "1,2,3"}, "", "terms_scale in its metadata has not"),
         ({"observation_terms_scale": "0.000,1.000"}, "", "the scale of base_ang_vel is 0"),
-        ({"command_names": "motion"}, "", "does not: command_names"),
+        ({"command_names": "grasp"}, "", "does not: command_names"),
         ({"zz_mark": "1"}, "", "does not: zz_mark"),
         ({"joint_damping": "0.004"}, "", "joint_damping of its metadata has 0.004, which three"),
     ],

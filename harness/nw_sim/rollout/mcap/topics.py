@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+MOTION = "motion"
+"""The attachment with the motion that is tracked: `nw_sim.rollout.referenced.unpacked_motion`."""
+
 ELEMENTS = "nw.elements"
 """The record of texts that names numbers: by topic, or topic and field, with commas between."""
 

@@ -50,6 +50,7 @@ from nw_sim.rollout.mcap.messages import (
     stamp,
 )
 from nw_sim.rollout.mcap.steps import BodyForms, StepNote, Steps
+from nw_sim.rollout.mcap.topics import MOTION
 
 EventKind = Literal["start", "waypoint", "task", "contact", "coverage", "end", "error"]
 
@@ -144,6 +145,7 @@ class TrialLog:
         command: Callable[[float], tuple[float, float, float]],
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[tuple[str, str]],
+        motion: bytes = b"",
         props: Sequence[Prop] = (),
         prop_bodies: Sequence[int] = (),
     ) -> None:
@@ -162,6 +164,7 @@ class TrialLog:
             command: from a heading error, rad, to what is asked for: see `Steps`.
             metadata: records of texts by name.
             attachments: name and text of each.
+            motion: that is to be tracked, from `packed_motion`; empty = none.
             props: of the scene.
             prop_bodies: their numbers among those of the model.
         """
@@ -169,6 +172,8 @@ class TrialLog:
             self._out.add_metadata(name, dict(values))
         for name, text in attachments:
             self._out.attach(name, "text/plain", text.encode())
+        if motion:
+            self._out.attach(MOTION, "application/octet-stream", motion)
         self._place = Discs(trail), CourseClouds(start, trail)
         parts = robot.bodies, robot.visuals
         scene = robot_update(*parts) + trail_update(start, trail) + props_update(props)

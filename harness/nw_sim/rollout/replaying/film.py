@@ -26,7 +26,7 @@ from nw_sim.rollout.job import StageClock
 from nw_sim.rollout.library import Library
 from nw_sim.rollout.observed import views_of
 from nw_sim.rollout.opening import open_trial
-from nw_sim.rollout.replaying.third_person import Spectator
+from nw_sim.rollout.replaying.third_person import Spectator, ghost_of
 from nw_sim.sensors.drawing.pictures import Cell, draw_sheet, enlarged, picture_of
 from nw_splat.render import open_renderer
 from nw_splat.store import open_store
@@ -160,7 +160,11 @@ class Film(Observer):
         episode = self._episode
         width, height = VIEW
         beside = self._spectator.beside(
-            episode.world, episode.task.goal.waypoints, width=width, height=height
+            episode.world,
+            episode.task.goal.waypoints,
+            width=width,
+            height=height,
+            ghost=ghost_of(episode.task, episode.step),
         )
         words = Words(
             time=episode.world.time,
@@ -394,7 +398,13 @@ def contact_sheet(logged: LoggedTrial) -> bytes:
             trial.episode.restore(states[index])
             label = f"{world.time:.2f} s, {trial.episode.task.standing}"
             views = [
-                spectator.beside(world, trail, width=width, height=height),
+                spectator.beside(
+                    world,
+                    trail,
+                    width=width,
+                    height=height,
+                    ghost=ghost_of(trial.episode.task, trial.episode.step),
+                ),
                 spectator.aboard(world, trail, _EGO, width=width, height=height),
             ]
             cells.append(Cell(name=label, images=views))

@@ -29,8 +29,10 @@ from nw_sim.rollout.episode import Decision
 from nw_sim.rollout.job import StageClock, TrialResult
 from nw_sim.rollout.library import Library
 from nw_sim.rollout.mcap.messages import SimState, StatePart
+from nw_sim.rollout.mcap.topics import MOTION
 from nw_sim.rollout.opening import OpenTrial, open_trial
 from nw_sim.rollout.record import attachments
+from nw_sim.rollout.referenced import unpacked_motion
 from nw_sim.rollout.trial import ended, failed, so_far
 
 if TYPE_CHECKING:
@@ -45,10 +47,12 @@ if TYPE_CHECKING:
     from nw_scenes import Scene
     from nw_scenes.rays import RayScene
     from nw_scenes.robots import RobotSpec
+    from nw_sim.physics import World
     from nw_sim.rollout.episode import Episode, Observer
     from nw_sim.rollout.job import TrialJob
     from nw_sim.rollout.mcap.reader import LogReader
     from nw_sim.rollout.replaying.logged import LoggedTrial
+    from nw_sim.tasks.reference import Reference
 
 _OF_THE_TRIAL = ("state_digest", "action_digest", "scores")
 """Parts of a state that are the trial's, with the task's; all others are the policy's, its sensors
@@ -94,7 +98,7 @@ def lead(
     shadow = _ShadowPolicy(follower.policy)
     own = trial.job
     job = replace(logged.job, scores=own.scores, allow_code=own.allow_code)
-    with _open_replayed(job, _replay_policy_of(card), library) as replayed:
+    with _open_replayed(logged, job, _replay_policy_of(card), library) as replayed:
         leader = replayed.episode
         state = _join(follower, leader)
         for decided in decisions(logged.log, joints=len(robot.joints)):
@@ -349,7 +353,7 @@ def open_replayed(logged: LoggedTrial, library: Library) -> OpenTrial:
         StoreError: as `replay_bundle`.
         SceneError, UsageError, PolicyError: as `open_trial`.
     """
-    return _open_replayed(logged.job, replay_bundle(logged), library)
+    return _open_replayed(logged, logged.job, replay_bundle(logged), library)
 
 
 def _replay_policy_of(card: Card) -> Bundle:
@@ -359,7 +363,9 @@ def _replay_policy_of(card: Card) -> Bundle:
     return Bundle(card=moved, card_path=None, checkpoint=None, checkpoint_sha256=NOTHING)
 
 
-def _open_replayed(job: TrialJob, bundle: Bundle, library: Library) -> OpenTrial:
+def _open_replayed(
+    logged: LoggedTrial, job: TrialJob, bundle: Bundle, library: Library
+) -> OpenTrial:
     """Return a trial at its start whose policy is that of `_replay_policy_of`.
 
     Its checkpoint need not be there: `Episode.advance` takes what the log says was decided.
@@ -375,15 +381,15 @@ def _open_replayed(job: TrialJob, bundle: Bundle, library: Library) -> OpenTrial
         operator="",
         mcap=None,
     )
-    return open_trial(job, _WithReplayPolicy(library, bundle), StageClock())
+    return open_trial(job, _WithReplayPolicy(library, bundle, logged), StageClock())
 
 
 class _WithReplayPolicy(Library):
-    """The scenes of another library, and one bundle."""
+    """The scenes of another library, one bundle, and the motion of a log."""
 
-    def __init__(self, library: Library, bundle: Bundle) -> None:
+    def __init__(self, library: Library, bundle: Bundle, logged: LoggedTrial) -> None:
         super().__init__()
-        self._library = library
+        self._library, self._logged = library, logged
         self._bundle = bundle
 
     def scene(self, reference: str, collision: Collision = "terrain") -> Scene:
@@ -394,6 +400,12 @@ class _WithReplayPolicy(Library):
 
     def bundle(self, reference: str, checkpoint: Path | None) -> Bundle:  # noqa: ARG002 - it has one.
         return self._bundle
+
+    def motion(self, bundle: Bundle, world: World, card: Card) -> Reference | None:  # noqa: ARG002
+        if card.reference is None:
+            return None
+        data = self._logged.log.attachments().get(MOTION, b"")
+        return unpacked_motion(data, world, card, str(self._logged.path))
 
 
 def translator(first: Card, second: Card, robot: RobotSpec) -> Callable[[Array], Array] | None:

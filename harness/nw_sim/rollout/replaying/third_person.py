@@ -29,6 +29,7 @@ from nw_splat.camera import Camera, Pixels, look_at
 if TYPE_CHECKING:
     from nw_scenes import Scene
     from nw_sim.physics import World
+    from nw_sim.tasks import Task
     from nw_splat.image import Image
     from nw_splat.render import Renderer
 
@@ -45,6 +46,10 @@ _OVERSAMPLING = 2
 # Share of the way to a wall that the eye may go.
 _SHORT_OF_WALLS = 0.85
 Array = NDArray[np.float64]
+Ghost = tuple[Array, Array, Array]
+"""Where a robot should be: position (3,) m and quaternion (4,) of its trunk, and (J,) rad."""
+_GHOST, _THROUGH = (70, 190, 255), 0.5
+"""Its colour, and the share of what is behind it that is seen through it."""
 
 _REACH = 0.8  # m from the trunk's middle to the map's edges
 _CELL = 0.025  # m
@@ -72,15 +77,51 @@ class Spectator:
         drawn = MeshPicture(self._rays, scene.T_world_splat)
         self._renderer = drawn if renderer is None else renderer
 
-    def beside(self, world: World, trail: NDArray[np.float64], *, width: int, height: int) -> Bytes:
-        """Return the robot from behind its right shoulder, (height, width, 3)."""
+    def beside(
+        self,
+        world: World,
+        trail: NDArray[np.float64],
+        *,
+        width: int,
+        height: int,
+        ghost: Ghost | None = None,
+    ) -> Bytes:
+        """Return the robot from behind its right shoulder, (height, width, 3).
+
+        Args:
+            world: whose robot is drawn.
+            trail: (K, 3) m, where the cones stand.
+            width: pixels.
+            height: pixels.
+            ghost: of `ghost_of`; where the robot should be, drawn through.
+        """
         yaw = world.roll_pitch_yaw[2]
         cosine, sine = np.cos(yaw), np.sin(yaw)
         R = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
         trunk, times = world.trunk_position, max(1.0, world.robot.spawn_height / _HEIGHT)
         eye = self._in_front_of_walls(trunk, trunk + R @ (times * _EYE))
         T_world_camera = look_at(eye, trunk + R @ (times * _TARGET))
-        return self.view(T_world_camera, _FOVY, world, trail, width=width, height=height)
+        drawn = self.view(T_world_camera, _FOVY, world, trail, width=width, height=height)
+        return drawn if ghost is None else self._with_ghost(drawn, ghost, T_world_camera, world)
+
+    def _with_ghost(
+        self, drawn: Bytes, ghost: Ghost, T_world_camera: NDArray[np.float64], world: World
+    ) -> Bytes:
+        """Return a view with a robot in it that one sees through, (H, W, 3)."""
+        height, width = drawn.shape[:2]
+        lens = Intrinsics.from_fovy(width, height, _FOVY)
+        rays = ray_directions(Camera.of(lens, T_world_camera), Pixels()).reshape(-1, 3)
+        rays = rays @ T_world_camera[:3, :3].T
+        origin = T_world_camera[:3, 3]
+        distance = world.ray_ghost(ghost, origin, rays)
+        met = np.flatnonzero(np.isfinite(distance))
+        before, _ = self._rays.cast(np.broadcast_to(origin, (len(met), 3)), rays[met])
+        robot = world.ray_robot(origin, rays[met]).distance
+        seen = met[distance[met] < np.minimum(before, robot)]
+        picture = drawn.reshape(-1, 3).copy()
+        mixed = (1.0 - _THROUGH) * np.array(_GHOST) + _THROUGH * picture[seen]
+        picture[seen] = np.rint(mixed).astype(np.uint8)
+        return picture.reshape(drawn.shape)
 
     def aboard(
         self, world: World, trail: NDArray[np.float64], camera: str, *, width: int, height: int
@@ -180,6 +221,14 @@ class Spectator:
         length = float(np.linalg.norm(way))
         distance, _ = self._rays.cast(near[np.newaxis], way[np.newaxis] / length)
         return near + way * min(1.0, _SHORT_OF_WALLS * float(distance[0]) / length)
+
+
+def ghost_of(task: Task, step: int) -> Ghost | None:
+    """Return where the motion of a task is at a control step; None where it tracks none."""
+    if (placed := task.reference) is None:
+        return None
+    frame = placed.at(step)
+    return frame.root_position, frame.root_quat, frame.joint_positions
 
 
 class ContactShadow:

@@ -1,0 +1,1 @@
+"""Reference motions that policies are trained to track, read from the files of others."""
