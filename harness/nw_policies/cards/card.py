@@ -9,7 +9,13 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from nw_policies.cards.control import CameraMounting, Control
 from nw_policies.cards.model import CONTROL_RATE, CardModel, Line, is_whole
@@ -45,7 +51,8 @@ class WaypointCommand(CardModel):
 class TrailFollower(CardModel):
     """A velocity command that steers towards the next waypoint.
 
-    vx = speed * max(0, cos(delta_yaw)), vy = 0, yaw rate = clip(yaw_gain * delta_yaw).
+    vx = max(least_speed, speed * max(0, cos(delta_yaw))), vy = 0,
+    yaw rate = clip(yaw_gain * delta_yaw).
     """
 
     source: Literal["trail_follower"]
@@ -57,6 +64,16 @@ class TrailFollower(CardModel):
     """Largest yaw rate, rad/s."""
     slow_in_turns: bool = True
     """False: vx = speed always."""
+    least_speed: float | None = Field(default=None, ge=0.0, le=5.0)
+    """What vx is at least, m/s, for policies that turn only while they walk; None = 0."""
+
+    @model_serializer(mode="wrap")
+    def _without_a_least_speed(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what is not given, so that cards without it keep their digest."""
+        fields: dict[str, Any] = dump(self)
+        if self.least_speed is None:
+            fields.pop("least_speed", None)
+        return fields
 
 
 class ConstantCommand(CardModel):

@@ -228,7 +228,8 @@ def velocity_at(command: Command, error: float) -> tuple[float, float, float]:
         return command.speed, 0.0, 0.0
     forward = max(0.0, math.cos(error)) if command.slow_in_turns else 1.0
     turn, limit = command.yaw_gain * error, command.yaw_limit
-    return command.speed * forward, 0.0, min(max(turn, -limit), limit)
+    ahead = max(command.least_speed or 0.0, command.speed * forward)
+    return ahead, 0.0, min(max(turn, -limit), limit)
 
 
 def commanded_speed(command: Command) -> float:
