@@ -100,6 +100,14 @@ _HEARD = {"command": "command", "speed": "speed", "delta_yaw": "way"}
 SpeedName = Literal["lin_vel_x", "lin_vel_y", "ang_vel_z"]
 
 
+def _without(term: Any, held: list[Any]) -> Any:
+    """Return a term of actions without the joints that are held; another as it is."""
+    words: dict[str, Any] = {"term": term} if isinstance(term, str) else term
+    if words["term"] not in {"last_output", "applied_action"} or "leave_out" in words:
+        return term
+    return {**words, "leave_out": held}
+
+
 def _plain_name(name: str) -> str:
     if not re.fullmatch(r"[a-z0-9][a-z0-9._-]{0,63}", name):
         message = f"{name[:70]!r} is not a valid policy name"
@@ -184,6 +192,22 @@ class Card(CardModel):
         except (KeyError, TypeError, AttributeError):
             return data  # What is wrong with it, its own model says.
         return {**data, "observations": slowed}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _nothing_of_the_held(cls, data: Any) -> Any:
+        """Let terms of actions have no numbers of joints that are held."""
+        try:
+            held = [*data["control"]["held"]]
+            observations = {
+                name: {**seen, "terms": [_without(term, held) for term in seen["terms"]]}
+                if "terms" in seen
+                else seen
+                for name, seen in data["observations"].items()
+            }
+        except (KeyError, TypeError, AttributeError):
+            return data  # What is wrong with it, its own model says.
+        return {**data, "observations": observations}
 
     @model_validator(mode="after")
     def _consistent(self) -> Card:

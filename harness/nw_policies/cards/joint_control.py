@@ -17,6 +17,7 @@ from nw_policies.cards.control import PHYSICS_RATE
 from nw_policies.cards.joints import (
     ActionKind,
     PerJoint,
+    held_places,
     joint_actions,
     joint_order,
     joint_values,
@@ -51,6 +52,8 @@ class JointControl:
     low: float
     high: float
     """Limits of the raw action."""
+    driven: NDArray[np.intp]
+    """(A,) the places, among these J, of the joints that the policy drives; the others are held."""
 
     @classmethod
     def from_card(cls, card: Card, robot: RobotSpec) -> JointControl:
@@ -68,19 +71,44 @@ class JointControl:
             pose = _named(
                 "default_pose", lambda: joint_values(own_pose, names, robot_pose.tolist())
             )
-        kinds = _named("action", lambda: joint_actions(control.action, names))
+        held = _named("held", lambda: held_places(control.held, names))
+        driven = [place for place in range(len(names)) if place not in held]
+        acting = [names[place] for place in driven]
+        kinds: list[ActionKind] = ["joint_position_offset"] * len(names)
+        scale = np.zeros(len(names))
+        if isinstance(control.scale, dict):  # It may name joints that are held.
+            none = [0.0 if place in held else None for place in range(len(names))]
+            scale[:] = _named("scale", lambda: joint_values(control.scale, names, none))
+            scale[[*held]] = 0.0
+        else:
+            scale[driven] = _named("scale", lambda: joint_values(control.scale, acting))
+        told = _named("action", lambda: joint_actions(control.action, acting))
+        for place, kind in zip(driven, told, strict=True):
+            kinds[place] = kind
         offset = np.array(kinds) == "joint_position_offset"
+        base = np.where(offset, pose, 0.0)
+        for place, angle in held.items():
+            base[place] = pose[place] if angle is None else angle
         low, high = control.clip or (-np.inf, np.inf)
         return cls(
             order=order,
             names=tuple(names),
-            kinds=kinds,
+            kinds=tuple(kinds),
             default_pose=pose,
-            base=np.where(offset, pose, 0.0),
-            scale=_named("scale", lambda: joint_values(control.scale, names)),
+            base=base,
+            scale=scale,
             low=low,
             high=high,
+            driven=np.array(driven, dtype=np.intp),
         )
+
+    def whole(self, action: Action) -> Action:
+        """Return an action of the policy, (A,), with zeros for the joints that are held, (J,)."""
+        if len(self.driven) == len(self.order):
+            return action
+        result = np.zeros(len(self.order))
+        result[self.driven] = action
+        return result
 
     def targets(self, action: Action) -> NDArray[np.float64]:
         """Return what the motors are told, in the robot's order: rad, rad/s or N m.
@@ -120,8 +148,12 @@ def motors_follow(card: Card, robot: RobotSpec) -> tuple[Follow, ...]:
         PolicyError: a joint is unknown or has no action.
     """
     control = card.control
-    kinds = _named("action", lambda: joint_actions(control.action, robot.joints))
-    return tuple(_FOLLOWS[kind] for kind in kinds)
+    held = _named("held", lambda: held_places(control.held, robot.joints))
+    acting = [name for place, name in enumerate(robot.joints) if place not in held]
+    kinds = iter(_named("action", lambda: joint_actions(control.action, acting)))
+    return tuple(
+        "position" if place in held else _FOLLOWS[next(kinds)] for place in range(len(robot.joints))
+    )
 
 
 def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float64]] | None:

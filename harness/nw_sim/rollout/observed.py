@@ -452,10 +452,13 @@ def _of_term(term: AnyTerm, joints: Names) -> list[str]:
 
 def _parts(term: AnyTerm, joints: Names) -> Sequence[str]:
     match term:
-        case terms.JointPosition() | terms.JointVelocity():
+        case (
+            terms.JointPosition()
+            | terms.JointVelocity()
+            | terms.AppliedAction()
+            | terms.LastOutput()
+        ):
             return [joints[index] for index in terms.seen_joints(term, joints)]
-        case terms.AppliedAction() | terms.LastOutput():
-            return joints
         case terms.FootContacts():
             return term.feet
         case terms.GaitClock():

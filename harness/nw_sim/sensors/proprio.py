@@ -190,9 +190,11 @@ def _fed_back(
     term: terms.AppliedAction | terms.LastOutput,
     control: JointControl,
 ) -> Reader:
-    if not term.clipped:
-        return read
-    return lambda moment: read(moment).clip(control.low, control.high)
+    low, high = (control.low, control.high) if term.clipped else (-np.inf, np.inf)
+    if term.leave_out:
+        seen = terms.seen_joints(term, control.names)
+        return lambda moment: read(moment)[seen].clip(low, high)
+    return (lambda moment: read(moment).clip(low, high)) if term.clipped else read
 
 
 def _foot_contacts(term: terms.FootContacts, feet: Sequence[str]) -> Reader:

@@ -1,0 +1,101 @@
+"""Policies of some of a robot's joints: the card holds the others, and actions leave them out."""
+
+import numpy as np
+import pytest
+
+from nw_base.errors import PolicyError
+from nw_policies.cards import JointControl, actuator_values, load_card, motors_follow
+from nw_policies.cards.terms import term_size
+from nw_policies.bundle import load_bundle
+from nw_scenes.robots import get_robot
+
+GO1 = get_robot("go1")
+CARD = """\
+nw-policy: 1
+name: legs
+robot: go1
+adapter: zero
+control:
+  action: joint_position_offset
+  scale: {0}
+  {1}
+  default_pose: {{hip: 0.05, thigh: 0.8, calf: -1.6}}
+observations:
+  obs: {{sensor: proprio, terms: [joint_pos, last_output, {{term: applied_action, leave_out: [hip]}}]}}
+"""
+
+
+@pytest.fixture
+def card_of(tmp_path):
+    """Return a maker of cards that hold joints."""
+
+    def card_of(held="held: {hip: 0.1}", scale="0.25"):
+        path = tmp_path / "policy.yaml"
+        path.write_text(CARD.format(scale, held))
+        return load_card(path)
+
+    return card_of
+
+
+def places(name):
+    return [i for i, joint in enumerate(GO1.joints) if name in joint]
+
+
+def test_held_joints_stand_at_their_angles_whatever_the_action_is(card_of):
+    control = JointControl.from_card(card_of(), GO1)
+    assert len(control.driven) == 8
+    targets = control.targets(control.whole(np.arange(1.0, 9.0)))
+    assert targets[places("hip")] == pytest.approx([0.1] * 4)
+    expected = np.where(np.arange(8) % 2, -1.6, 0.8) + 0.25 * np.arange(1.0, 9.0)
+    others = [i for i in range(12) if i not in places("hip")]
+    assert targets[others] == pytest.approx(expected)
+
+
+def test_a_list_holds_joints_at_the_default_pose(card_of):
+    control = JointControl.from_card(card_of("held: [hip, RL_calf]"), GO1)
+    targets = control.targets(control.whole(np.ones(7)))
+    assert targets[places("hip")] == pytest.approx([0.05] * 4)
+    assert targets[places("RL_calf")] == pytest.approx([-1.6])
+    assert targets[places("RR_calf")] == pytest.approx([-1.35])
+
+
+def test_terms_of_actions_have_no_numbers_of_held_joints_and_terms_of_joints_have(card_of):
+    terms = card_of().observations["obs"].terms
+    assert [term_size(term, GO1.joints) for term in terms] == [12, 8, 8]
+
+
+def test_held_joints_are_servos_beside_torques_of_the_policy(card_of):
+    card = card_of().model_copy()
+    card = card.model_copy(
+        update={"control": card.control.model_copy(update={"action": "joint_torque"})}
+    )
+    follows = motors_follow(card, GO1)
+    assert {follows[i] for i in places("hip")} == {"position"}
+    assert {follows[i] for i in places("calf")} == {"torque"}
+    assert actuator_values(card, GO1)["kd"][places("hip")] == pytest.approx(
+        np.array(GO1.joint_damping)[places("hip")]
+    )
+
+
+@pytest.mark.parametrize(
+    ("held", "scale", "words"),
+    [
+        ("held: [wing]", "0.25", "held: 'wing' names no joint"),
+        ('held: ["*"]', "0.25", "every joint is held"),
+        ("held: {hip: 3.0}", "0.25", "control.held: 3 is beyond the range"),
+        ("held: [hip]", "[1, 1, 1]", "3 values for 8 joints"),
+        ("held: [hip]", "{thigh: 1}", "no value for FR_calf"),
+    ],
+)
+def test_what_cannot_be_held_is_refused_with_its_place(card_of, held, scale, words):
+    with pytest.raises(PolicyError, match=words):
+        card_of(held, scale)
+
+
+def test_a_policy_of_fewer_joints_answers_as_many_numbers(card_of, tmp_path):
+    card_of()
+    assert load_bundle(str(tmp_path)).joints == 8
+
+
+def test_cards_that_hold_nothing_are_what_they_were(card_of):
+    assert "held" not in card_of("delay_steps: 0").model_dump()["control"]
