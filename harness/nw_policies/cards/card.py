@@ -100,10 +100,13 @@ _HEARD = {"command": "command", "speed": "speed", "delta_yaw": "way"}
 SpeedName = Literal["lin_vel_x", "lin_vel_y", "ang_vel_z"]
 
 
+_OF_JOINTS = {"joint_pos", "joint_vel", "last_output", "applied_action"}
+
+
 def _without(term: Any, held: list[Any]) -> Any:
-    """Return a term of actions without the joints that are held; another as it is."""
+    """Return a term of joints without those that are held; another as it is."""
     words: dict[str, Any] = {"term": term} if isinstance(term, str) else term
-    if words["term"] not in {"last_output", "applied_action"} or "leave_out" in words:
+    if words["term"] not in _OF_JOINTS or "leave_out" in words:
         return term
     return {**words, "leave_out": held}
 
@@ -196,7 +199,7 @@ class Card(CardModel):
     @model_validator(mode="before")
     @classmethod
     def _nothing_of_the_held(cls, data: Any) -> Any:
-        """Let terms of actions have no numbers of joints that are held."""
+        """Let terms of joints have no numbers of those that are held."""
         try:
             held = [*data["control"]["held"]]
             observations = {

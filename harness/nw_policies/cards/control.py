@@ -103,9 +103,8 @@ class Control(CardModel):
     """Names in the checkpoint's order, for actions and observations; None = the robot's order."""
     held: Held | None = None
     """Joints that the policy does not drive, by name, type or pattern: they are held at these
-    angles, rad, or as a list at the default pose. Actions have no number for them, nor have
-    `scale` and the terms `last_output` and `applied_action`; `joint_pos` and `joint_vel` have all
-    joints but those of `leave_out`."""
+    angles, rad, or as a list at the default pose. Actions and terms of joints have no numbers for
+    them, nor need `joints` and lists; a term with `leave_out: []` has all joints."""
     default_pose: PerJoint | None = None
     """rad; None = the robot's."""
     kp: PerJoint | None = None

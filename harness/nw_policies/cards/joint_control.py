@@ -17,11 +17,13 @@ from nw_policies.cards.control import PHYSICS_RATE
 from nw_policies.cards.joints import (
     ActionKind,
     PerJoint,
+    all_joints,
     held_places,
     joint_actions,
     joint_order,
     joint_values,
     short_name,
+    whole_list,
 )
 from nw_policies.cards.model import CONTROL_RATE
 from nw_scenes.robots import RobotSpec
@@ -63,13 +65,19 @@ class JointControl:
             PolicyError: a joint is unknown or missing, or a list has another length.
         """
         control = card.control
-        order = _named("joints", lambda: joint_order(control.joints or robot.joints, robot.joints))
+        wanted = _named("held", lambda: all_joints(control.joints, control.held, robot.joints))
+        order = _named("joints", lambda: joint_order(wanted, robot.joints))
         names = [robot.joints[i] for i in order]
         robot_pose = np.array(robot.default_pose)[order]
         pose = robot_pose
         if (own_pose := control.default_pose) is not None:
             pose = _named(
-                "default_pose", lambda: joint_values(own_pose, names, robot_pose.tolist())
+                "default_pose",
+                lambda: joint_values(
+                    whole_list(own_pose, control.joints, robot_pose.tolist()),
+                    names,
+                    robot_pose.tolist(),
+                ),
             )
         held = _named("held", lambda: held_places(control.held, names))
         driven = [place for place in range(len(names)) if place not in held]
@@ -185,14 +193,18 @@ def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float6
     is_own = follows == robot_follows
     if is_own and not torques and all(value is None for value, _ in overrides.values()):
         return None
-    order = _named("joints", lambda: joint_order(control.joints or robot.joints, robot.joints))
+    wanted = _named("held", lambda: all_joints(control.joints, control.held, robot.joints))
+    order = _named("joints", lambda: joint_order(wanted, robot.joints))
     names = [robot.joints[i] for i in order]
     result: dict[str, NDArray[np.float64]] = {}
     for key, (value, own) in overrides.items():
         values = np.array(own, dtype=np.float64)
         if value is not None:
             values[order] = _named(
-                key, lambda v=value, o=values: joint_values(v, names, o[order].tolist())
+                key,
+                lambda v=value, o=values: joint_values(
+                    whole_list(v, control.joints, o[order].tolist()), names, o[order].tolist()
+                ),
             )
         if (values < 0).any():
             raise PolicyError(f"control.{key}: {values.min():g} is negative", fix="give 0 or more")

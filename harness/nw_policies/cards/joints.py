@@ -87,6 +87,33 @@ def held_places(held: Held | None, joints: Sequence[str]) -> dict[int, float | N
     return places
 
 
+def all_joints(named: list[str] | None, held: Held | None, joints: Sequence[str]) -> list[str]:
+    """Return the joints of a robot in a policy's order: held ones that it does not name come last.
+
+    Args:
+        named: `control.joints`.
+        held: `control.held`.
+        joints: the robot's.
+
+    Raises:
+        PolicyError: as `held_places`.
+    """
+    own = list(joints)
+    if named is None or held is None:
+        return own if named is None else named
+    said = {short_name(name) for name in named}
+    rest = [own[place] for place in sorted(held_places(held, own))]
+    return [*named, *(name for name in rest if short_name(name) not in said)]
+
+
+def whole_list(value: PerJoint, named: list[str] | None, own: Sequence[float | None]) -> PerJoint:
+    """Return a list of numbers of the joints that a card names with the others' own behind it."""
+    rest = own[len(named) :] if named is not None else []
+    if not isinstance(value, list) or named is None or len(value) != len(named):
+        return value
+    return [*value, *(number or 0.0 for number in rest)]
+
+
 def joint_values(
     value: PerJoint, joints: Sequence[str], default: Sequence[float | None] | None = None
 ) -> NDArray[np.float64]:

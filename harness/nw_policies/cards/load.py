@@ -32,12 +32,14 @@ from nw_policies.cards.card import Card
 from nw_policies.cards.feeding import feeding_order, way_back
 from nw_policies.cards.joints import (
     PerJoint,
+    all_joints,
     held_places,
     joint_actions,
     joint_order,
     joint_values,
     named_joints,
     short_name,
+    whole_list,
 )
 from nw_policies.cards.model import is_whole
 from nw_policies.cards.networks import input_parts, listed_inputs, recurrent_fault
@@ -347,14 +349,15 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
         *_camera_problems(card, file, robot),
     ]
     joints = own
+    fault = _fault(file, ("control", "held"), lambda: held_places(card.control.held, own))
+    faults.append(fault)
+    held = None if fault else card.control.held
     if (named := card.control.joints) is not None:
-        order = _fault(file, ("control", "joints"), lambda: joint_order(named, own))
+        whole = all_joints(named, held, own)
+        order = _fault(file, ("control", "joints"), lambda: joint_order(whole, own))
         faults.append(order)
-        joints = own if order else named
-    held = card.control.held
-    is_held = _fault(file, ("control", "held"), lambda: held_places(held, joints))
-    faults.append(is_held)
-    out = {} if is_held else held_places(held, joints)
+        joints = own if order else whole
+    out = held_places(held, joints)
     driven = [joint for place, joint in enumerate(joints) if place not in out]
     action = card.control.action
     for key in () if isinstance(action, str) else action:
@@ -365,11 +368,13 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
     for key in _PER_JOINT:
         value: PerJoint | None = getattr(card.control, key)
         if value is not None:
+            value = whole_list(value, named, [0.0] * len(joints)) if key != "scale" else value
             listed = key == "scale" and isinstance(value, list)
             faults += _value_problems(file, key, value, driven if listed else joints, driven)
     if isinstance(held, dict) and not any(faults):
         faults += _range_problems(file, "held", held, joints, robot)
     if (pose := card.control.default_pose) is not None and not any(faults):
+        pose = whole_list(pose, named, [0.0] * len(named or ()))
         faults += _range_problems(file, "default_pose", pose, joints, robot)
     problems = [problem for problem in faults if problem is not None]
     return sorted(problems, key=lambda problem: (problem.line, problem.column))

@@ -126,13 +126,14 @@ class Speed(_Term):
     term: Literal["speed"]
 
 
-JointKeys = Annotated[list[Foot], Field(min_length=1, max_length=200)]
+JointKeys = Annotated[list[Foot], Field(max_length=200)]
 """Joints, types or patterns, as the keys of `control.scale` are."""
 
 
 class _OfJoints(_Term):
     leave_out: JointKeys | None = None
-    """Joints that it has no number for, such as the positions of wheels: names, types, patterns."""
+    """Joints that it has no number for, such as the positions of wheels: names, types, patterns.
+    None = those of `control.held`; [] = none, so that held joints are seen."""
 
     @model_serializer(mode="wrap")
     def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -164,10 +165,7 @@ class _FedBack(_OfJoints):
 
 
 class AppliedAction(_FedBack):
-    """The raw action that the last control step applied: after the delay, before scaling (12).
-
-    `leave_out` is `control.held` if it is not given; so it is of `last_output`.
-    """
+    """The raw action that the last control step applied: after the delay, before scaling (12)."""
 
     term: Literal["applied_action"]
 

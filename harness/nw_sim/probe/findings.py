@@ -21,7 +21,7 @@ from nw_places.entries import parted
 from nw_policies.cards import Card, motors_follow
 from nw_policies.cards.card import LEFT_OUT, ConstantCommand
 from nw_policies.cards.feeding import resolve_inputs
-from nw_policies.cards.joints import short_name
+from nw_policies.cards.joints import all_joints, short_name
 from nw_policies.cards.networks import input_parts
 from nw_policies.cards.observations import ProprioObservation, SplatRgbObservation
 from nw_scenes.robots import RobotSpec
@@ -248,7 +248,7 @@ def action_findings(
     if card.control.clip is not None:
         low, high = card.control.clip
         cut = ((actions <= low) | (actions >= high)).mean(axis=0)
-        order = card.control.joints or list(robot.joints)
+        order = all_joints(card.control.joints, card.control.held, robot.joints)
         findings += _by_joint(
             cut, order, f"the action is at its limits {low:g}..{high:g} (`control.clip`)"
         )

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from nw_base.errors import PolicyError
+from nw_policies.bundle import load_bundle
 from nw_policies.cards import JointControl, actuator_values, load_card, motors_follow
 from nw_policies.cards.terms import term_size
-from nw_policies.bundle import load_bundle
 from nw_scenes.robots import get_robot
 
 GO1 = get_robot("go1")
@@ -21,7 +21,13 @@ control:
   {1}
   default_pose: {{hip: 0.05, thigh: 0.8, calf: -1.6}}
 observations:
-  obs: {{sensor: proprio, terms: [joint_pos, last_output, {{term: applied_action, leave_out: [hip]}}]}}
+  obs:
+    sensor: proprio
+    terms:
+      - joint_pos
+      - {{term: joint_vel, leave_out: []}}
+      - last_output
+      - {{term: applied_action, leave_out: [hip]}}
 """
 
 
@@ -59,9 +65,9 @@ def test_a_list_holds_joints_at_the_default_pose(card_of):
     assert targets[places("RR_calf")] == pytest.approx([-1.35])
 
 
-def test_terms_of_actions_have_no_numbers_of_held_joints_and_terms_of_joints_have(card_of):
+def test_terms_have_no_numbers_of_held_joints_unless_they_leave_none_out(card_of):
     terms = card_of().observations["obs"].terms
-    assert [term_size(term, GO1.joints) for term in terms] == [12, 8, 8]
+    assert [term_size(term, GO1.joints) for term in terms] == [8, 12, 8, 8]
 
 
 def test_held_joints_are_servos_beside_torques_of_the_policy(card_of):
@@ -99,3 +105,17 @@ def test_a_policy_of_fewer_joints_answers_as_many_numbers(card_of, tmp_path):
 
 def test_cards_that_hold_nothing_are_what_they_were(card_of):
     assert "held" not in card_of("delay_steps: 0").model_dump()["control"]
+
+
+def test_a_card_need_not_name_the_held_joints(card_of):
+    legs = [name for name in GO1.joints if "hip" not in name][::-1]
+    named = f"held: [hip]\n  joints: [{', '.join(legs)}]\n  kp: [1, 2, 3, 4, 5, 6, 7, 8]"
+    card = card_of(named, "[1, 2, 3, 4, 5, 6, 7, 8]")
+    control = JointControl.from_card(card, GO1)
+    assert control.names[:8] == tuple(legs)
+    targets = control.targets(control.whole(np.ones(8)))
+    pose = [-1.6 if "calf" in name else 0.8 for name in legs]
+    assert targets[control.order[:8]] == pytest.approx(np.array(pose) + np.arange(1.0, 9.0))
+    gains = actuator_values(card, GO1)["kp"]
+    assert gains[control.order[:8]].tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert gains[places("hip")].tolist() == np.array(GO1.kp)[places("hip")].tolist()
