@@ -7,6 +7,7 @@
     *.yaml                      unitree_rl_gym's deploy configs, and those of its forks
     *.yaml                      controllers of legged_ros2
     NAME.json, asset_meta.json  muwanx, which runs policies in browsers
+    T1.yaml, params.yaml        booster_gym; LimX's controllers (`makers`)
 
 A file is known by its keys, not by its name. Nothing of a tag is executed: `!!python/tuple` is a
 list. Lists for each joint are in the order of `joint_names`, whatever their order in the file.
@@ -31,6 +32,7 @@ from nw_policies.drafting.fields import (
     texts_of,
 )
 from nw_policies.drafting.layouts import LEG_BY_LEG, RIGHT_FIRST, TYPE_BY_TYPE
+from nw_policies.drafting.makers import is_booster, is_limx, read_booster, read_limx
 from nw_scenes.robots import RobotSpec
 
 Data = Fields
@@ -57,6 +59,10 @@ def reader_of(data: Data) -> tuple[str, Reader | None]:
         {"obs_names", "obs_cfg", "action_cfg"} <= set(words) for words in _ros_nodes(data).values()
     ):
         return "legged_ros2", _legged_ros2
+    if is_booster(data):
+        return "booster", read_booster
+    if is_limx(data):
+        return "limx", read_limx
     if isinstance(data.get("obs_config"), dict) and {"stiffness", "action_scale"} <= set(data):
         return "muwanx", _muwanx
     return _reader_of_training(data)

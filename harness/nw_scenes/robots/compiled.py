@@ -90,13 +90,14 @@ class CompiledRobot:
     def __init__(self, folder: RobotFolder, shared: Shared | None = None) -> None:
         self.folder = folder
         self.settings = folder.settings
-        self.shared = Shared() if shared is None else shared
+        self.shared = shared or Shared()
         self._text = ""
         self.masks: list[tuple[int, int]] = []
         self.solid: set[str] = set()
         model = self.settings.model
         kept = self.shared.get((folder.model_digest, model.file), self._compiled)
-        self.mjspec: Any = kept.mjspec.copy()
+        # What nobody else takes may be changed. A copy takes as much memory again.
+        self.mjspec: Any = kept.mjspec if shared is None else kept.mjspec.copy()
         self.model: Any = kept.model
         self.masks, self.solid = kept.masks, kept.solid
         self.before, self.after = kept.before, kept.after

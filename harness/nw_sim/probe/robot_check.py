@@ -14,8 +14,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from nw_base.confinement import Rules, memory_to_run
-from nw_base.errors import CrashError, PolicyError, RobotError, StoreError
-from nw_base.files.cache import cache_dir
+from nw_base.errors import CrashError, PolicyError, RobotError
 from nw_base.lens import Intrinsics
 from nw_scenes.robots import FoundRobot, RobotSpec, files_of, find_robot, robot_folder
 from nw_scenes.robots.kept import keep, packed
@@ -23,6 +22,7 @@ from nw_scenes.robots.spec import CameraMount
 from nw_scenes.robots.standing import Drop, LevelGround
 from nw_sim.catalogue import get_scene
 from nw_sim.physics import World
+from nw_sim.rollout.confined.access import robots_kept
 from nw_sim.rollout.confined.isolated import call_isolated
 from nw_sim.rollout.replaying.third_person import Spectator
 from nw_sim.sensors.drawing.pictures import Cell, draw_sheet
@@ -328,14 +328,6 @@ def isolated(function: Any, *, subject: str, folder: Path | None, **arguments: A
         words = error.message.replace("opening the checkpoint", "reading the robot")
         fix = "thin its meshes out, above all those that collide" if "takes" in words else None
         raise RobotError(words.replace("the checkpoint", "the robot"), fix=fix) from None
-
-
-def robots_kept() -> tuple[Path, ...]:
-    """Return the folder of the cache in which robots are kept; none where it cannot be made."""
-    try:
-        return (cache_dir("robots"),)
-    except StoreError:
-        return ()
 
 
 def _size(folder: Path | None) -> int:

@@ -1,5 +1,7 @@
 """Policies of some of a robot's joints: the card holds the others, and actions leave them out."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -119,3 +121,23 @@ def test_a_card_need_not_name_the_held_joints(card_of):
     gains = actuator_values(card, GO1)["kp"]
     assert gains[control.order[:8]].tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
     assert gains[places("hip")].tolist() == np.array(GO1.kp)[places("hip")].tolist()
+
+
+def test_a_checkpoint_of_fewer_joints_is_met_with_those_it_may_drive():
+    from nw_policies.drafting.checkpoint import ArrayFacts, CheckpointFacts, ExporterMetadata
+    from nw_policies.drafting.some_joints import driven_joints, held_lines, of_joints
+
+    def gives(count):
+        outputs = (ArrayFacts(name="actions", shape=(1, count), dtype="float32"),)
+        return CheckpointFacts(path=tmp, format="onnx", adapter="onnx", sha256="", outputs=outputs)
+
+    tmp = Path("policy.onnx")
+    legs = tuple(joint for joint in GO1.joints if "hip" not in joint)
+    named = ExporterMetadata(joint_names=legs[::-1])
+    assert driven_joints(gives(8), named, GO1) == legs[::-1]
+    assert driven_joints(gives(8), None, GO1) == GO1.joints[:8]  # All joints are of legs here.
+    assert driven_joints(gives(12), None, GO1) == ()
+    assert driven_joints(gives(3), None, GO1) == ()  # That is no walking robot.
+    assert of_joints(GO1, legs).kp == tuple(np.array(GO1.kp)[[GO1.joints.index(j) for j in legs]])
+    (line,) = held_lines(legs, GO1, is_named=True)
+    assert line.startswith("  held: [FR_hip, FL_hip")
