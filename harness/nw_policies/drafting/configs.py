@@ -644,7 +644,7 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
         speeds=_speeds(data.get("commands")),
         observation_terms=tuple(terms),
         guessed_order=is_guess and known,
-        notes=(*_action_notes(kind, own, pose), *notes),
+        notes=(*_action_notes(kind, own, pose), *notes, *_motor_notes(groups_of_motors)),
     )
 
 
@@ -670,8 +670,33 @@ def _direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Expo
         rate=per_second(step * every if step and every else None),
         physics_rate=per_second(step),
         guessed_order=is_guess,
-        notes=("the environment computes what the policy sees in its own code",),
+        notes=(
+            "the environment computes what the policy sees in its own code",
+            *_motor_notes(motors),
+        ),
     )
+
+
+_SERVOS = re.compile(r"Implicit|IdealPD|BuiltinPosition|XmlPosition", re.IGNORECASE)
+
+
+def _motor_notes(groups: Sequence[Data]) -> tuple[str, ...]:
+    """Return what motors of a training did beyond a servo with a limit: the card's do not."""
+    notes: dict[str, None] = {}
+    for group in groups:
+        kind = re.split(r"[.:]", str(group.get("class_type") or ""))[-1].removesuffix("Cfg")
+        low, high = group.number("min_delay") or 0, group.number("max_delay") or 0
+        friction = group.get("friction")
+        for what, is_so in (
+            (f"its motors are of the kind {kind}: the card's are servos with a limit of torque",
+             kind and not _SERVOS.search(kind)),
+            (f"its motors were told {low:g} to {high:g} physics steps late", high),
+            ("a network was its motors' model, which is not run", group.get("network_file")),
+            (f"its joints have friction {friction}: see `friction_loss`", friction),
+        ):  # fmt: skip
+            if is_so:
+                notes[what] = None
+    return tuple(notes)
 
 
 def _one_of(limits: Data) -> tuple[float, float] | None:
