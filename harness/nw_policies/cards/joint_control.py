@@ -55,7 +55,7 @@ class JointControl:
     high: float
     """Limits of the raw action."""
     driven: NDArray[np.intp]
-    """(A,) the places, among these J, of the joints that the policy drives; the others are held."""
+    """(A,) the indices, among these J, of joints that the policy drives; the others are held."""
 
     @classmethod
     def from_card(cls, card: Card, robot: RobotSpec) -> JointControl:

@@ -47,7 +47,7 @@ from nw_policies.drafting.notation import (
     quoted,
     slug,
 )
-from nw_policies.drafting.some_joints import driven_joints, held_lines, of_joints
+from nw_policies.drafting.some_joints import driven_joints, held_lines, known_of, of_joints
 from nw_policies.drafting.trained import (
     KNOWN_ACTIVATIONS,
     network_lines,
@@ -102,9 +102,9 @@ def write_card_draft(
     pipeline = pipeline_of(beside or {}, facts.path.name)
     if pipeline is not None:
         known = with_pipeline(*pipeline, facts, known)
-    whole, part = robot, driven_joints(facts, known, robot)
+    whole, said, part = robot, known, driven_joints(facts, known, robot)
     if part:
-        robot = of_joints(robot, part)
+        robot, known = of_joints(robot, part), known_of(known, part)
     refuse_another_robot(facts, known, robot)
     known = known and believed(known, robot)
     facts = replace(facts, exporter=known)
@@ -146,7 +146,7 @@ def write_card_draft(
         *(f"{CHECK} {note}" for note in notes),
         "",
         *control_lines(facts.exporter, robot, frame, clip=network.clip if network else None),
-        *held_lines(part, whole, is_named=bool(known and known.joint_names)),
+        *held_lines(part, whole, said),
         "",
         *body,
         *other_layouts(parts, robot),

@@ -96,7 +96,7 @@ class CompiledRobot:
         self.solid: set[str] = set()
         model = self.settings.model
         kept = self.shared.get((folder.model_digest, model.file), self._compiled)
-        # What nobody else takes may be changed. A copy takes as much memory again.
+        # A model that is not shared may be changed. A copy takes as much memory again.
         self.mjspec: Any = kept.mjspec if shared is None else kept.mjspec.copy()
         self.model: Any = kept.model
         self.masks, self.solid = kept.masks, kept.solid

@@ -167,10 +167,14 @@ def _orders(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
     change places, and joints go leg by leg or kind by kind; else joints are sorted by name, as
     Isaac Gym sorts them.
     """
-    own = joint_order(
-        all_joints(card.control.joints, card.control.held, robot.joints), robot.joints
-    )
-    names = [short_name(joint) for joint in robot.joints]
+    held = card.control.held
+
+    def order(joints: list[str] | None) -> list[int]:
+        return joint_order(all_joints(joints, held, robot.joints), robot.joints).tolist()
+
+    own = order(card.control.joints)
+    named = card.control.joints if held is not None else None
+    names = [short_name(joint) for joint in named or robot.joints]
     pairs = [tuple(name.split("_", 1)) for name in names]
     legs, kinds = (list(dict.fromkeys(pair[end] for pair in pairs)) for end in (0, -1))
     orders: list[tuple[str, list[str]]] = []
@@ -186,7 +190,7 @@ def _orders(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
     else:
         orders.append(("the joints sorted by name", sorted(names)))
     for words, joints in orders:
-        if (joint_order(joints, robot.joints) != own).any():
+        if order(joints) != own:
             yield words, _with_control(card, joints=joints)
 
 

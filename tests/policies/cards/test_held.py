@@ -139,5 +139,25 @@ def test_a_checkpoint_of_fewer_joints_is_met_with_those_it_may_drive():
     assert driven_joints(gives(12), None, GO1) == ()
     assert driven_joints(gives(3), None, GO1) == ()  # That is no walking robot.
     assert of_joints(GO1, legs).kp == tuple(np.array(GO1.kp)[[GO1.joints.index(j) for j in legs]])
-    (line,) = held_lines(legs, GO1, is_named=True)
+    (line,) = held_lines(legs, GO1, named)
     assert line.startswith("  held: [FR_hip, FL_hip")
+    assert "guessed" not in line
+    assert "guessed" in held_lines(legs, GO1, None)[0]
+
+
+def test_a_file_of_all_joints_says_how_the_others_are_held():
+    from nw_policies.drafting.checkpoint import ExporterMetadata
+    from nw_policies.drafting.some_joints import held_lines, known_of
+
+    angles = tuple(n / 10 for n in range(12))
+    known = ExporterMetadata(
+        joint_names=GO1.joints, default_joint_pos=angles, joint_stiffness=(40.0,), joint_count=8
+    )
+    legs = tuple(joint for joint in GO1.joints if "hip" not in joint)
+    part = known_of(known, legs)
+    assert part.default_joint_pos == tuple(angles[GO1.joints.index(joint)] for joint in legs)
+    assert part.joint_stiffness == (40.0,)
+    (line,) = held_lines(legs, GO1, known)
+    hips = [name for name in GO1.joints if "hip" in name]
+    said = [f"{n.removesuffix('_joint')}: {angles[GO1.joints.index(n)]:g}" for n in hips]
+    assert line.startswith(f"  held: {{{', '.join(said)}}}")
