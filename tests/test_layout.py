@@ -152,7 +152,7 @@ MOST = {
         ("nw_eval", "nw_learn", "nw_sim"),
     ),
     "nw_policies": Figures(
-        23120,  # Encoder and policy in one plan.
+        23600,  # Encoder and policy in one plan; held joints, makers' files.
         9,
         ("nw_eval", "nw_learn", "nw_sim"),
     ),
