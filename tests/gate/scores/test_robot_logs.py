@@ -12,6 +12,7 @@ import math
 import os
 import sqlite3
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from mcap.writer import Writer as Plain
 from mcap_protobuf.writer import Writer as Protobuf
 from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer
-from ros_kinds import KINDS, LINE, PARTS
+from ros_kinds import KINDS, PARTS
 
 import nw_eval
 from nw_base.errors import StoreError, UsageError
@@ -816,41 +817,23 @@ def test_logs_that_were_found(name, expected):
             assert found.values[score] == pytest.approx(value, rel=1e-4)
 
 
-LOW_STATE = (
-    "uint8[2] head\nunitree_go/MotorState[20] motor_state\nuint32 tick\n"
-    f"{LINE}\nMSG: unitree_go/MotorState\nfloat32 q\nfloat32 dq\nfloat32 tau_est"
+@pytest.mark.parametrize(
+    ("source", "kind", "field", "reading"),
+    [
+        ("joints", "unitree_go/msg/LowState", "motor_state", "joint_positions"),
+        ("targets", "unitree_go/msg/LowCmd", "motor_cmd", "targets"),
+    ],
 )
-LOW_CMD = (
-    LOW_STATE.replace("MotorState", "MotorCmd")
-    .replace("motor_state", "motor_cmd")
-    .replace("tau_est", "tau")
-)
-
-
-def test_motors_of_unitree_are_counted_from_the_right_front_leg(tmp_path):
-    """Unitree's documents count FR, FL, RR, RL; hip, thigh, calf: calves are 2, 5, 8 and 11."""
-    path = tmp_path / "log.mcap"
-    reached, told = [[0.01 * n for n in range(20)] for _ in range(2)]
-    told[2] = 0.5  # The right front calf alone is told to move, to and fro.
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        state = writer.register_msgdef("unitree_go/msg/LowState", LOW_STATE)
-        command = writer.register_msgdef("unitree_go/msg/LowCmd", LOW_CMD)
-        for number, time in enumerate(TIMES):
-            ns = int((EPOCH + time) * 1e9)
-            motors = [{"q": q, "dq": 1.0, "tau_est": 2.0} for q in reached]
-            low = {"head": [0, 0], "motor_state": motors, "tick": 0}
-            writer.write_message("/lowstate", state, low, ns, ns)
-            swing = 0.1 if number % 2 else -0.1
-            told[2] = STAND[2] + swing
-            sent = [{"q": q, "dq": 0.0, "tau": 0.0} for q in told]
-            low = {"head": [0, 0], "motor_cmd": sent, "tick": 0}
-            writer.write_message("/lowcmd", command, low, ns, ns)
-        writer.finish()
-    found = scores(path)
-    assert found.values["mean_power"] == pytest.approx(24.0, rel=1e-4)
-    assert "RR_calf" not in found.missing["limit_time"]
-    assert found.values["action_rate"] > 0.0
+def test_motors_of_unitree_are_counted_from_the_right_front_leg(source, kind, field, reading):
+    """Unitree's documents count FR, FL, RR, RL, each hip, thigh, calf; 20 places, 12 of motors."""
+    motors = [SimpleNamespace(q=float(n), dq=1.0, tau=2.0, tau_est=2.0) for n in range(20)]
+    message = SimpleNamespace(**{field: motors})
+    values = values_of(source, message, kind, GO1, {}, "/low")
+    kinds = [
+        f"{leg}_{part}" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "thigh", "calf")
+    ]
+    expected = [float(kinds.index(name.removesuffix("_joint"))) for name in GO1.joints]
+    assert values[reading] == expected
 
 
 # The account of fields.
