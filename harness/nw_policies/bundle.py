@@ -20,6 +20,7 @@ from nw_base.files.inside import OutsideError, inside, regular, what_is
 from nw_base.files.shipped import available, shipped
 from nw_base.plugins import SENSORS, WRAPPERS, identity_of, is_code, key_of
 from nw_policies.cards.card import Card
+from nw_policies.cards.joints import held_places
 from nw_policies.cards.load import CARD_FILE, load_card
 from nw_policies.cards.model import CardModel
 from nw_policies.cards.networks import Checkpoint
@@ -289,14 +290,15 @@ class Bundle:
 
     @cached_property
     def joints(self) -> int:
-        """How many joints the card's robot has, and numbers an action.
+        """How many numbers an action has: one for each joint of the robot that is not held.
 
         A process that is sent the bundle is sent them, too, and need not find the robot.
 
         Raises:
             UsageError: there is no such robot.
         """
-        return len(get_robot(self.card.robot).joints)
+        joints = get_robot(self.card.robot).joints
+        return len(joints) - len(held_places(self.card.control.held, joints))
 
     def read_checkpoint(self) -> bytes:
         """Return the bytes of the weights after comparing their digest with the checked one again.

@@ -31,7 +31,7 @@ from nw_sim.rollout.library import Library
 from nw_sim.rollout.trial import run_trial
 from nw_sim.sensors import StepContext, build_sensors
 from nw_sim.sensors.sensor import Air
-from nw_sim.tasks import Course
+from nw_sim.tasks import Course, TrackSettings
 from nw_splat.camera import Camera
 from nw_splat.render import open_renderer
 from nw_splat.store import Layout, memory_store, open_store
@@ -107,7 +107,12 @@ def sensors(scene) -> Iterator[tuple[str, str]]:
     depth = {"sensor": "depth", "robot": True, "cones": True}
     lidar = {"sensor": "lidar", "robot": True, "channels": 8, "columns": 90}
     observations = {
-        **{name: {"sensor": name, **NEEDED.get(name, {})} for name in BUILT_IN_SENSORS},
+        # `reference` needs a motion: the trial of `tracker` reads it.
+        **{
+            name: {"sensor": name, **NEEDED.get(name, {})}
+            for name in BUILT_IN_SENSORS
+            if name != "reference"
+        },
         **{name: depth | {"wrap": wrap} for name, wrap in WRAPPED.items()},
         "depth by stereo": {"sensor": "depth", "stereo": {}},
         "depth of the splat": {"sensor": "depth", "source": "splat", "width": 40, "height": 24},
@@ -177,6 +182,34 @@ def trials(folder: Path) -> Iterator[tuple[str, str]]:
         yield f"states of {name}", result.state_digest[:16]
         yield f"actions of {name}", result.action_digest[:16]
         yield f"scores of {name}", of(*(value for _, value in result.scores))
+    result = trial(
+        library, str(tracker(folder.with_name("tracker"))), str(folder), duration=0.6,
+        record="none", task=TrackSettings(jitter=0.5),
+    )  # fmt: skip
+    yield "states of a tracked motion", result.state_digest[:16]
+    yield "actions of a tracked motion", result.action_digest[:16]
+    yield "scores of a tracked motion", of(*(value for _, value in result.scores))
+
+
+def tracker(folder: Path) -> Path:
+    """Write a policy that answers zeros and sees all terms of a motion of 30 Hz."""
+    folder.mkdir()
+    pose = [-0.3, 0.78, -1.79, 0.3, 0.78, -1.79, -0.2, 1.07, -1.63, 0.2, 1.07, -1.63]
+    rows: list[list[float]] = []
+    for number in range(60):
+        turn = 0.02 * number
+        root = [0.01 * number, 0.0, 0.27, 0.0, 0.0, math.sin(turn), math.cos(turn)]
+        rows.append([*root, *(angle + 0.05 * math.sin(turn) for angle in pose)])
+    text = "\n".join(",".join(map(repr, row)) for row in rows)
+    (folder / "motion.csv").write_text(text + "\n")
+    (folder / "policy.yaml").write_text(
+        "nw-policy: 1\nname: tracker\nrobot: go1\nadapter: zero\n"
+        "control: {action: joint_position_offset, scale: 0.25}\n"
+        "reference: {file: motion.csv, rate: 30}\n"
+        "observations:\n  motion: {sensor: reference, ahead: [0, 1], terms: [joint_positions, "
+        "joint_velocities, anchor_position, anchor_orientation_6d, phase, frame]}\n"
+    )
+    return folder
 
 
 def smoke() -> Iterator[tuple[str, str]]:

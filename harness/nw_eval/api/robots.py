@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
+from base64 import b64decode
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -113,6 +115,7 @@ def init_robot(model: str | PathLike[str], *, out: str | PathLike[str] | None = 
     from nw_base.files.inside import what_is
     from nw_policies.drafting.notation import lines_to_check
     from nw_scenes.robots.folder import ROBOT_FILE
+    from nw_scenes.robots.kept import keep
     from nw_sim.probe.robot_draft import draft_robot
 
     model = as_path(model)
@@ -133,6 +136,8 @@ def init_robot(model: str | PathLike[str], *, out: str | PathLike[str] | None = 
         _copy(root, draft.files, out)
     with atomic_path(followed(file)) as temporary:
         temporary.write_text(draft.text, encoding="utf-8")
+    with suppress(ValueError):
+        keep(file.parent, (ROBOT_FILE, *draft.files), b64decode(draft.kept))
     to_check = lines_to_check(draft.text)
     return RobotDraft(file=file, text=draft.text, to_check=to_check, stands=draft.stands)
 

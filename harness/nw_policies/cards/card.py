@@ -9,7 +9,13 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from nw_policies.cards.control import CameraMounting, Control
 from nw_policies.cards.model import CONTROL_RATE, CardModel, Line, is_whole
@@ -47,7 +53,8 @@ class WaypointCommand(CardModel):
 class TrailFollower(CardModel):
     """A velocity command that steers towards the next waypoint.
 
-    vx = speed * max(0, cos(delta_yaw)), vy = 0, yaw rate = clip(yaw_gain * delta_yaw).
+    vx = max(least_speed, speed * max(0, cos(delta_yaw))), vy = 0,
+    yaw rate = clip(yaw_gain * delta_yaw).
     """
 
     source: Literal["trail_follower"]
@@ -59,6 +66,16 @@ class TrailFollower(CardModel):
     """Largest yaw rate, rad/s."""
     slow_in_turns: bool = True
     """False: vx = speed always."""
+    least_speed: float | None = Field(default=None, ge=0.0, le=5.0)
+    """What vx is at least, m/s, for policies that turn only while they walk; None = 0."""
+
+    @model_serializer(mode="wrap")
+    def _without_a_least_speed(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what is not given, so that cards without it keep their digest."""
+        fields: dict[str, Any] = dump(self)
+        if self.least_speed is None:
+            fields.pop("least_speed", None)
+        return fields
 
 
 class ConstantCommand(CardModel):
@@ -83,6 +100,17 @@ _HEARD = {"command": "command", "speed": "speed", "delta_yaw": "way"}
 """Terms by which a policy is told what to do."""
 
 SpeedName = Literal["lin_vel_x", "lin_vel_y", "ang_vel_z"]
+
+
+_OF_JOINTS = {"joint_pos", "joint_vel", "last_output", "applied_action"}
+
+
+def _without(term: Any, held: list[Any]) -> Any:
+    """Return a term of joints without those that are held; another as it is."""
+    words: dict[str, Any] = {"term": term} if isinstance(term, str) else term
+    if words["term"] not in _OF_JOINTS or "leave_out" in words:
+        return term
+    return {**words, "leave_out": held}
 
 
 def _plain_name(name: str) -> str:
@@ -171,6 +199,22 @@ class Card(CardModel):
         except (KeyError, TypeError, AttributeError):
             return data  # What is wrong with it, its own model says.
         return {**data, "observations": slowed}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _nothing_of_the_held(cls, data: Any) -> Any:
+        """Let terms of joints have no numbers of those that are held."""
+        try:
+            held = [*data["control"]["held"]]
+            observations = {
+                name: {**seen, "terms": [_without(term, held) for term in seen["terms"]]}
+                if "terms" in seen
+                else seen
+                for name, seen in data["observations"].items()
+            }
+        except (KeyError, TypeError, AttributeError):
+            return data  # What is wrong with it, its own model says.
+        return {**data, "observations": observations}
 
     @model_validator(mode="after")
     def _consistent(self) -> Card:

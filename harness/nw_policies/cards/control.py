@@ -26,7 +26,7 @@ from pydantic import (
 )
 
 from nw_base.lens import Intrinsics, ShutterTime
-from nw_policies.cards.joints import ActionKind, PerJoint
+from nw_policies.cards.joints import ActionKind, Held, PerJoint
 from nw_policies.cards.model import CONTROL_RATE, CardModel, Limits, Rate
 
 Array = NDArray[np.float64]
@@ -101,6 +101,10 @@ class Control(CardModel):
     """Low-pass on the raw action, behind limits and latency and before scaling; null = none."""
     joints: list[str] | None = None
     """Names in the checkpoint's order, for actions and observations; None = the robot's order."""
+    held: Held | None = None
+    """Joints that the policy does not drive, by name, type or pattern: they are held at these
+    angles, rad, or as a list at the default pose. Actions and terms of joints have no numbers for
+    them, nor need `joints` and lists; a term with `leave_out: []` has all joints."""
     default_pose: PerJoint | None = None
     """rad; None = the robot's."""
     kp: PerJoint | None = None
@@ -142,6 +146,14 @@ class Control(CardModel):
             message = f"a cutoff of {low_pass.cutoff:g} Hz is not below half of {rate} actions a"
             raise ValueError(f"{message} second; give less than {rate / 2:g}, or remove `filter`")
         return low_pass
+
+    @model_serializer(mode="wrap")
+    def _without_held(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out `held` that is not given, so that cards without it keep their digest."""
+        fields: dict[str, Any] = dump(self)
+        if self.held is None:
+            fields.pop("held", None)
+        return fields
 
     @property
     def has_torques(self) -> bool:

@@ -17,10 +17,13 @@ from nw_policies.cards.control import PHYSICS_RATE
 from nw_policies.cards.joints import (
     ActionKind,
     PerJoint,
+    all_joints,
+    held_places,
     joint_actions,
     joint_order,
     joint_values,
     short_name,
+    whole_list,
 )
 from nw_policies.cards.model import CONTROL_RATE
 from nw_scenes.robots import RobotSpec
@@ -51,6 +54,8 @@ class JointControl:
     low: float
     high: float
     """Limits of the raw action."""
+    driven: NDArray[np.intp]
+    """(A,) the indices, among these J, of joints that the policy drives; the others are held."""
 
     @classmethod
     def from_card(cls, card: Card, robot: RobotSpec) -> JointControl:
@@ -60,27 +65,58 @@ class JointControl:
             PolicyError: a joint is unknown or missing, or a list has another length.
         """
         control = card.control
-        order = _named("joints", lambda: joint_order(control.joints or robot.joints, robot.joints))
+        wanted = _named("held", lambda: all_joints(control.joints, control.held, robot.joints))
+        order = _named("joints", lambda: joint_order(wanted, robot.joints))
         names = [robot.joints[i] for i in order]
         robot_pose = np.array(robot.default_pose)[order]
         pose = robot_pose
         if (own_pose := control.default_pose) is not None:
             pose = _named(
-                "default_pose", lambda: joint_values(own_pose, names, robot_pose.tolist())
+                "default_pose",
+                lambda: joint_values(
+                    whole_list(own_pose, control.joints, robot_pose.tolist()),
+                    names,
+                    robot_pose.tolist(),
+                ),
             )
-        kinds = _named("action", lambda: joint_actions(control.action, names))
+        held = _named("held", lambda: held_places(control.held, names))
+        driven = [place for place in range(len(names)) if place not in held]
+        acting = [names[place] for place in driven]
+        kinds: list[ActionKind] = ["joint_position_offset"] * len(names)
+        scale = np.zeros(len(names))
+        if isinstance(control.scale, dict):  # It may name joints that are held.
+            none = [0.0 if place in held else None for place in range(len(names))]
+            scale[:] = _named("scale", lambda: joint_values(control.scale, names, none))
+            scale[[*held]] = 0.0
+        else:
+            scale[driven] = _named("scale", lambda: joint_values(control.scale, acting))
+        told = _named("action", lambda: joint_actions(control.action, acting))
+        for place, kind in zip(driven, told, strict=True):
+            kinds[place] = kind
         offset = np.array(kinds) == "joint_position_offset"
+        base = np.where(offset, pose, 0.0)
+        for place, angle in held.items():
+            base[place] = pose[place] if angle is None else angle
         low, high = control.clip or (-np.inf, np.inf)
         return cls(
             order=order,
             names=tuple(names),
-            kinds=kinds,
+            kinds=tuple(kinds),
             default_pose=pose,
-            base=np.where(offset, pose, 0.0),
-            scale=_named("scale", lambda: joint_values(control.scale, names)),
+            base=base,
+            scale=scale,
             low=low,
             high=high,
+            driven=np.array(driven, dtype=np.intp),
         )
+
+    def whole(self, action: Action) -> Action:
+        """Return an action of the policy, (A,), with zeros for the joints that are held, (J,)."""
+        if len(self.driven) == len(self.order):
+            return action
+        result = np.zeros(len(self.order))
+        result[self.driven] = action
+        return result
 
     def targets(self, action: Action) -> NDArray[np.float64]:
         """Return what the motors are told, in the robot's order: rad, rad/s or N m.
@@ -120,8 +156,12 @@ def motors_follow(card: Card, robot: RobotSpec) -> tuple[Follow, ...]:
         PolicyError: a joint is unknown or has no action.
     """
     control = card.control
-    kinds = _named("action", lambda: joint_actions(control.action, robot.joints))
-    return tuple(_FOLLOWS[kind] for kind in kinds)
+    held = _named("held", lambda: held_places(control.held, robot.joints))
+    acting = [name for place, name in enumerate(robot.joints) if place not in held]
+    kinds = iter(_named("action", lambda: joint_actions(control.action, acting)))
+    return tuple(
+        "position" if place in held else _FOLLOWS[next(kinds)] for place in range(len(robot.joints))
+    )
 
 
 def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float64]] | None:
@@ -153,14 +193,18 @@ def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float6
     is_own = follows == robot_follows
     if is_own and not torques and all(value is None for value, _ in overrides.values()):
         return None
-    order = _named("joints", lambda: joint_order(control.joints or robot.joints, robot.joints))
+    wanted = _named("held", lambda: all_joints(control.joints, control.held, robot.joints))
+    order = _named("joints", lambda: joint_order(wanted, robot.joints))
     names = [robot.joints[i] for i in order]
     result: dict[str, NDArray[np.float64]] = {}
     for key, (value, own) in overrides.items():
         values = np.array(own, dtype=np.float64)
         if value is not None:
             values[order] = _named(
-                key, lambda v=value, o=values: joint_values(v, names, o[order].tolist())
+                key,
+                lambda v=value, o=values: joint_values(
+                    whole_list(v, control.joints, o[order].tolist()), names, o[order].tolist()
+                ),
             )
         if (values < 0).any():
             raise PolicyError(f"control.{key}: {values.min():g} is negative", fix="give 0 or more")

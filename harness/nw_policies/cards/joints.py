@@ -8,7 +8,7 @@ from typing import Annotated, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Strict
+from pydantic import Field, Strict
 
 from nw_base.errors import PolicyError, nearest
 from nw_base.plural import plural
@@ -26,6 +26,10 @@ The keys of a mapping are joints ("FR_hip"), types ("hip") or patterns ("F*_thig
 them name the same joint, the more exact one counts: a joint over a pattern over a type; of two
 patterns, the later one.
 """
+
+
+Held = Annotated[list[str], Field(min_length=1)] | Annotated[dict[str, Number], Field(min_length=1)]
+"""Joints that are held: joints, types or patterns; with angles, rad, or at the default pose."""
 
 
 def short_name(joint: str) -> str:
@@ -61,8 +65,57 @@ def named_joints(key: str, names: Sequence[str]) -> list[str]:
     return [name for name in names if name.endswith(f"_{pattern}") or fnmatchcase(name, pattern)]
 
 
+def held_places(held: Held | None, joints: Sequence[str]) -> dict[int, float | None]:
+    """Return the positions in `joints` of those that are held, and at which angle.
+
+    Returns:
+        rad; None = at the default pose.
+
+    Raises:
+        PolicyError: a key names no joint, or every joint is held.
+    """
+    names = [short_name(joint) for joint in joints]
+    angles = dict.fromkeys(held, None) if isinstance(held, list) else held or {}
+    places: dict[int, float | None] = {}
+    for key, angle in sorted(angles.items(), key=lambda item: _exactness(item[0], names)):
+        hits = named_joints(key, names)
+        if not hits:
+            raise PolicyError(f"{key!r} names no joint", fix=nearest(short_name(key), names))
+        places |= {names.index(name): angle for name in hits}
+    if len(places) == len(names):
+        raise PolicyError("every joint is held", fix="leave out those that the policy drives")
+    return places
+
+
+def all_joints(named: list[str] | None, held: Held | None, joints: Sequence[str]) -> list[str]:
+    """Return the joints of a robot in a policy's order: held ones that it does not name come last.
+
+    Args:
+        named: `control.joints`.
+        held: `control.held`.
+        joints: the robot's.
+
+    Raises:
+        PolicyError: as `held_places`.
+    """
+    own = list(joints)
+    if named is None or held is None:
+        return own if named is None else named
+    said = {short_name(name) for name in named}
+    rest = [own[place] for place in sorted(held_places(held, own))]
+    return [*named, *(name for name in rest if short_name(name) not in said)]
+
+
+def whole_list(value: PerJoint, named: list[str] | None, own: Sequence[float | None]) -> PerJoint:
+    """Return a list of numbers of the joints that a card names with the others' own behind it."""
+    rest = own[len(named) :] if named is not None else []
+    if not isinstance(value, list) or named is None or len(value) != len(named):
+        return value
+    return [*value, *(number or 0.0 for number in rest)]
+
+
 def joint_values(
-    value: PerJoint, joints: Sequence[str], default: Sequence[float] | None = None
+    value: PerJoint, joints: Sequence[str], default: Sequence[float | None] | None = None
 ) -> NDArray[np.float64]:
     """Return one number for each of `joints`, in their order.
 

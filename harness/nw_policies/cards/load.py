@@ -32,11 +32,14 @@ from nw_policies.cards.card import Card
 from nw_policies.cards.feeding import feeding_order, way_back
 from nw_policies.cards.joints import (
     PerJoint,
+    all_joints,
+    held_places,
     joint_actions,
     joint_order,
     joint_values,
     named_joints,
     short_name,
+    whole_list,
 )
 from nw_policies.cards.model import is_whole
 from nw_policies.cards.networks import input_parts, listed_inputs, recurrent_fault
@@ -347,22 +350,33 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
         *_reference_problems(card, file, robot),
     ]
     joints = own
+    fault = _fault(file, ("control", "held"), lambda: held_places(card.control.held, own))
+    faults.append(fault)
+    held = None if fault else card.control.held
     if (named := card.control.joints) is not None:
-        order = _fault(file, ("control", "joints"), lambda: joint_order(named, own))
+        whole = all_joints(named, held, own)
+        order = _fault(file, ("control", "joints"), lambda: joint_order(whole, own))
         faults.append(order)
-        joints = own if order else named
+        joints = own if order else whole
+    out = held_places(held, joints)
+    driven = [joint for place, joint in enumerate(joints) if place not in out]
     action = card.control.action
     for key in () if isinstance(action, str) else action:
         place = ("control", "action", key)
         faults.append(_fault(file, place, lambda one=key: named_places([one], own, "action")))
     if not any(faults):
-        faults.append(_fault(file, ("control", "action"), lambda: joint_actions(action, own)))
+        faults.append(_fault(file, ("control", "action"), lambda: joint_actions(action, driven)))
     for key in _PER_JOINT:
         value: PerJoint | None = getattr(card.control, key)
         if value is not None:
-            faults += _value_problems(file, key, value, joints)
+            value = whole_list(value, named, [0.0] * len(joints)) if key != "scale" else value
+            listed = key == "scale" and isinstance(value, list)
+            faults += _value_problems(file, key, value, driven if listed else joints, driven)
+    if isinstance(held, dict) and not any(faults):
+        faults += _range_problems(file, "held", held, joints, robot)
     if (pose := card.control.default_pose) is not None and not any(faults):
-        faults += _range_problems(file, pose, joints, robot)
+        pose = whole_list(pose, named, [0.0] * len(named or ()))
+        faults += _range_problems(file, "default_pose", pose, joints, robot)
     problems = [problem for problem in faults if problem is not None]
     return sorted(problems, key=lambda problem: (problem.line, problem.column))
 
@@ -417,12 +431,12 @@ def _camera_problems(card: Card, file: YamlFile, robot: RobotSpec) -> list[Probl
 
 
 def _value_problems(
-    file: YamlFile, key: str, value: PerJoint, joints: Sequence[str]
+    file: YamlFile, key: str, value: PerJoint, joints: Sequence[str], driven: Sequence[str]
 ) -> list[Problem | None]:
     place = ("control", key)
     faults: list[Problem | None] = []
     # Where a mapping leaves joints out, the robot's own figures stand; a scale has none.
-    default = None if key == "scale" else [0.0] * len(joints)
+    default = [None if key == "scale" and joint in driven else 0.0 for joint in joints]
     if isinstance(value, dict):
         for name in value:
             alone = {name: value[name]}
@@ -445,13 +459,13 @@ def _value_problems(
 
 
 def _range_problems(
-    file: YamlFile, pose: PerJoint, joints: Sequence[str], robot: RobotSpec
+    file: YamlFile, key: str, pose: PerJoint, joints: Sequence[str], robot: RobotSpec
 ) -> list[Problem]:
-    """Return a problem for each number of a default pose that a joint of its cannot take."""
+    """Return a problem for each angle of `control` that a joint of its cannot take."""
     ranges = {short_name(j): r for j, r in zip(robot.joints, robot.joint_ranges, strict=True)}
     names = [short_name(joint) for joint in joints]
     problems: list[Problem] = []
-    for where, number in _numbers(pose, ("control", "default_pose")):
+    for where, number in _numbers(pose, ("control", key)):
         meant = names
         if isinstance(pose, dict):
             meant = named_joints(str(where[-1]), names)
@@ -460,7 +474,7 @@ def _range_problems(
         for name in meant:
             low, high = ranges[name]
             if not low <= number <= high:
-                message = f"control.default_pose: {number:g} is beyond the range of {name}"
+                message = f"control.{key}: {number:g} is beyond the range of {name}"
                 fix = f"give radians from {low:g} to {high:g}, in the robot's own signs"
                 problems.append(file.problem(where, message, fix))
                 break

@@ -6,7 +6,7 @@ A term's numbers are `clip(value) * scale + offset`, in SI units and radians bef
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal, assert_never
+from typing import Annotated, Any, Literal, assert_never, cast
 
 from pydantic import (
     BeforeValidator,
@@ -128,13 +128,14 @@ class Speed(ScaledTerm):
     term: Literal["speed"]
 
 
-JointKeys = Annotated[list[Foot], Field(min_length=1, max_length=200)]
+JointKeys = Annotated[list[Foot], Field(max_length=200)]
 """Joints, types or patterns, as the keys of `control.scale` are."""
 
 
 class _OfJoints(ScaledTerm):
     leave_out: JointKeys | None = None
-    """Joints that it has no number for, such as the positions of wheels: names, types, patterns."""
+    """Joints that it has no number for, such as the positions of wheels: names, types, patterns.
+    None = those of `control.held`; [] = none, so that held joints are seen."""
 
     @model_serializer(mode="wrap")
     def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -159,7 +160,7 @@ class JointVelocity(_OfJoints):
     term: Literal["joint_vel"]
 
 
-class _FedBack(ScaledTerm):
+class _FedBack(_OfJoints):
     clipped: bool = False
     """Whether it is fed back after `control.clip`, as legged_gym does; else as the network said it,
     as extreme-parkour does."""
@@ -300,15 +301,16 @@ def check_feet(term: FootContacts, feet: Sequence[str]) -> None:
             raise PolicyError(f"foot_contacts: the robot has no foot {foot!r}", fix=known)
 
 
-def seen_joints(term: JointPosition | JointVelocity, joints: Sequence[str]) -> list[int]:
+def seen_joints(term: _OfJoints, joints: Sequence[str]) -> list[int]:
     """Return the positions in `joints` that a term has a number for.
 
     Raises:
         PolicyError: `leave_out` names no joint, or all of them.
     """
-    out = named_places(term.leave_out or (), joints, f"{term.term}: leave_out")
+    word = cast("AnyTerm", term).term
+    out = named_places(term.leave_out or (), joints, f"{word}: leave_out")
     if len(out) == len(joints):
-        raise PolicyError(f"{term.term}: leave_out names every joint", fix="remove the term")
+        raise PolicyError(f"{word}: leave_out names every joint", fix="remove the term")
     return [index for index in range(len(joints)) if index not in out]
 
 
@@ -350,10 +352,8 @@ def term_size(term: AnyTerm, joints: Sequence[str]) -> int:  # noqa: C901 - one 
             return 1 if term.values == "angle" else 2
         case DeltaYaw():
             return term.copies
-        case JointPosition() | JointVelocity():
+        case JointPosition() | JointVelocity() | AppliedAction() | LastOutput():
             return len(seen_joints(term, joints)) if term.leave_out else len(joints)
-        case AppliedAction() | LastOutput():
-            return len(joints)
         case GaitClock():
             return len(term.offsets) * len(term.values)
         case Constant():

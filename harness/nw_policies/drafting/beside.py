@@ -55,7 +55,7 @@ _PER_JOINT = (
 )
 _ORDER = (
     "deploy", "io_descriptors", "legged_rl_deploy", "legged_ros2", "rl_sar", "gym", "muwanx",
-    "checkpoint",
+    "booster", "limx", "checkpoint",
     "env", "agent",
 )  # fmt: skip
 """Which kind of file is believed before others."""

@@ -7,6 +7,7 @@
     *.yaml                      unitree_rl_gym's deploy configs, and those of its forks
     *.yaml                      controllers of legged_ros2
     NAME.json, asset_meta.json  muwanx, which runs policies in browsers
+    T1.yaml, params.yaml        booster_gym; LimX's controllers (`makers`)
 
 A file is known by its keys, not by its name. Nothing of a tag is executed: `!!python/tuple` is a
 list. Lists for each joint are in the order of `joint_names`, whatever their order in the file.
@@ -31,6 +32,7 @@ from nw_policies.drafting.fields import (
     texts_of,
 )
 from nw_policies.drafting.layouts import LEG_BY_LEG, RIGHT_FIRST, TYPE_BY_TYPE
+from nw_policies.drafting.makers import is_booster, is_limx, read_booster, read_limx
 from nw_policies.drafting.tracking import MOTION_COMMAND
 from nw_scenes.robots import RobotSpec
 
@@ -58,6 +60,10 @@ def reader_of(data: Data) -> tuple[str, Reader | None]:
         {"obs_names", "obs_cfg", "action_cfg"} <= set(words) for words in _ros_nodes(data).values()
     ):
         return "legged_ros2", _legged_ros2
+    if is_booster(data):
+        return "booster", read_booster
+    if is_limx(data):
+        return "limx", read_limx
     if isinstance(data.get("obs_config"), dict) and {"stiffness", "action_scale"} <= set(data):
         return "muwanx", _muwanx
     return _reader_of_training(data)
@@ -654,7 +660,7 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
         bodies=motion.texts("body_names"),
         motion_file=str(motion.get("motion_file") or ""),
         guessed_order=is_guess and known,
-        notes=(*_action_notes(kind, own, pose), *notes),
+        notes=(*_action_notes(kind, own, pose), *notes, *_motor_notes(groups_of_motors)),
     )
 
 
@@ -715,8 +721,33 @@ def _direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Expo
         rate=per_second(step * every if step and every else None),
         physics_rate=per_second(step),
         guessed_order=is_guess,
-        notes=("the environment computes what the policy sees in its own code",),
+        notes=(
+            "the environment computes what the policy sees in its own code",
+            *_motor_notes(motors),
+        ),
     )
+
+
+_SERVOS = re.compile(r"Implicit|IdealPD|BuiltinPosition|XmlPosition", re.IGNORECASE)
+
+
+def _motor_notes(groups: Sequence[Data]) -> tuple[str, ...]:
+    """Return what motors of a training did beyond a servo with a limit: the card's do not."""
+    notes: dict[str, None] = {}
+    for group in groups:
+        kind = re.split(r"[.:]", str(group.get("class_type") or ""))[-1].removesuffix("Cfg")
+        low, high = group.number("min_delay") or 0, group.number("max_delay") or 0
+        friction = group.get("friction")
+        for what, is_so in (
+            (f"its motors are of the kind {kind}: the card's are servos with a limit of torque",
+             kind and not _SERVOS.search(kind)),
+            (f"its motors were told {low:g} to {high:g} physics steps late", high),
+            ("a network was its motors' model, which is not run", group.get("network_file")),
+            (f"its joints have friction {friction}: see `friction_loss`", friction),
+        ):  # fmt: skip
+            if is_so:
+                notes[what] = None
+    return tuple(notes)
 
 
 def _one_of(limits: Data) -> tuple[float, float] | None:

@@ -47,6 +47,7 @@ from nw_policies.drafting.notation import (
     quoted,
     slug,
 )
+from nw_policies.drafting.some_joints import driven_joints, held_lines, known_of, of_joints
 from nw_policies.drafting.tracking import TABLES, reference_lines, tracks
 from nw_policies.drafting.trained import (
     KNOWN_ACTIVATIONS,
@@ -64,6 +65,7 @@ from nw_policies.drafting.vectors import (
 from nw_policies.safety import file_kind
 from nw_scenes.robots import BUILT_IN, RobotSpec, get_robot, know_robot
 
+_ENOUGH_FEET, _TURNING_SPEED = 3, 0.3  # with which a robot stands; m/s ahead in turns
 _ACTION = re.compile(r"action|\bmu\b|mean|joint|target", re.IGNORECASE)
 _NAMELESS = re.compile(r"(policy|model)([._-].*)?", re.IGNORECASE)
 
@@ -103,6 +105,9 @@ def write_card_draft(
     pipeline = pipeline_of(beside or {}, facts.path.name)
     if pipeline is not None:
         known = with_pipeline(*pipeline, facts, known)
+    whole, said, part = robot, known, driven_joints(facts, known, robot)
+    if part:
+        robot, known = of_joints(robot, part), known_of(known, part)
     refuse_another_robot(facts, known, robot)
     known = known and believed(known, robot)
     facts = replace(facts, exporter=known)
@@ -126,7 +131,7 @@ def write_card_draft(
         body, parts, notes = draft.lines(folder), draft.parts, (*notes, *draft.notes)
         _refuse_unknown(layout, parts, facts.path)
         if draft.is_commanded:
-            body = [_follower(known), "", *body]
+            body = [_follower(known, robot), "", *body]
     frames = [part.fits[0][0] for part in parts if part.fits]
     # What one of them feeds back clipped, `control` must clip.
     frame = next((f for f in frames if f.clip is not None), frames[0] if frames else None)
@@ -144,6 +149,7 @@ def write_card_draft(
         *(f"{CHECK} {note}" for note in notes),
         "",
         *control_lines(facts.exporter, robot, frame, clip=network.clip if network else None),
+        *held_lines(part, whole, said),
         "",
         *body,
         *_reference(facts, robot, motions, folder),
@@ -287,7 +293,7 @@ def _body(
     for part in parts:
         body += [f"  {part.name}:", *(f"    {line}" for line in part.lines)]
     if any("command" in line.split("#")[0] for line in body):
-        body = [_follower(facts.exporter), "", *body]
+        body = [_follower(facts.exporter, robot), "", *body]
     if len(parts) > 1:
         listed = {argument.name for argument in facts.script if argument.images}
         inputs: list[str] = []
@@ -311,13 +317,19 @@ def _trained_speeds(known: ExporterMetadata | None) -> list[str]:
     return [f"trained_speeds: {{{ranges}}}{_from(known, 'speeds')}"]
 
 
-def _follower(known: ExporterMetadata | None) -> str:
-    """Return the line `command`, no faster than the training commanded."""
+def _follower(known: ExporterMetadata | None, robot: RobotSpec) -> str:
+    """Return the line `command`, no faster than the training commanded.
+
+    Many policies of two legs turn only while they walk.
+    """
     speeds = known.speeds if known else {}
     fastest = min(0.8, speeds["lin_vel_x"][1]) if "lin_vel_x" in speeds else 0.8
     turning = min(1.0, speeds["ang_vel_z"][1]) if "ang_vel_z" in speeds else 1.0
     limit = f", yaw_limit: {number(turning)}" if 0 < turning < 1.0 else ""
-    line = f"command: {{source: trail_follower, speed: {number(max(fastest, 0.0))}{limit}}}"
+    speed = max(fastest, 0.0)
+    if len(robot.feet) < _ENOUGH_FEET:
+        limit += f", least_speed: {number(min(_TURNING_SPEED, speed))}"
+    line = f"command: {{source: trail_follower, speed: {number(speed)}{limit}}}"
     if known is None or not speeds:
         return f"{line}  # steers towards the next waypoint"
     return f"{line}  # as trained_speeds"

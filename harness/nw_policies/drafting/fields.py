@@ -108,6 +108,15 @@ _PASSED_OVER: Mapping[str, Mapping[str, str]] = {
         """,
         "the robot has its own": r"joint_vel_limit\w*|joint_pos_limit\w*",
     },
+    "booster": {
+        "it moves the robot before the policy": r"prepare|mech",
+        "it is seen": r"policy\.(policy_path|num_\w+)",
+    },
+    "limx": {
+        "it moves the robot before the policy": r"\w+\.stand_mode",
+        "it is seen": r"\w+\.(size\.\w+|normalization\.obs_scales\.lin_vel)",
+        "the robot's IMU is ours": r"\w+\.imu_orientation_offset",
+    },
     "legged_ros2": {
         "it is of the controller": r"(?!.*ros__parameters\.(obs|action)_cfg).*",
     },

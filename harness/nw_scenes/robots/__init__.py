@@ -20,6 +20,7 @@ __all__ = [
     "RobotSpec",
     "Shape",
     "Triangles",
+    "files_of",
     "find_robot",
     "get_robot",
     "know_robot",
@@ -225,21 +226,26 @@ def _of_folder(folder: Path, *, is_known: bool = True) -> FoundRobot:
     before = _read.get(folder)
     if before is None or _stamps(folder, before.files) != before.stamps:
         # The library of meshes and MuJoCo's compiler are for folders alone.
-        from nw_scenes.robots.derived import spec_of
         from nw_scenes.robots.folder import read_folder
+        from nw_scenes.robots.kept import kept_spec
 
         read = read_folder(folder)
         if read.settings.name in BUILT_IN:
             message = f"name: {read.settings.name!r} is built in"
             raise RobotError([read.file.problem(("name",), message, "give another name")])
         stamps = _stamps(folder, read.files)
-        spec, identity = spec_of(read), read.digest[:_DIGITS]
-        notes = (*read.notes, *(f"not simulated: {each}" for each in read.account.sentences()))
+        identity = read.digest[:_DIGITS]
+        spec, notes = kept_spec(read)
         robot = FoundRobot(spec=spec, identity=identity, folder=folder, notes=notes)
         before = _read[folder] = _Read(robot, read.files, stamps)
     if is_known:
         _folders[before.robot.spec.name] = folder
     return before.robot
+
+
+def files_of(robot: FoundRobot) -> tuple[str, ...]:
+    """Return the names of the files that a robot was read from here; none if it is built in."""
+    return () if robot.folder is None else _read[robot.folder].files
 
 
 def _fetched_folder(reference: str) -> Path:

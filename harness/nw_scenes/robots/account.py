@@ -103,6 +103,11 @@ class Account:
         """Say that something with an effect is not simulated."""
         self.lost.setdefault(sentence, []).append(line)
 
+    def update(self, other: Account) -> None:
+        """Take what another account of the same file has."""
+        self.passed.update(other.passed)
+        self.lost.update(other.lost)
+
     def sentences(self) -> list[str]:
         """Return what is not simulated, with the line where it stands first."""
         return [

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from copy import deepcopy
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring, tostring
 
 import mujoco as _mujoco
@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nw_base.errors import RobotError, nearest
+from nw_scenes.robots.account import Account
 from nw_scenes.robots.folder import Camera, RobotFolder, element_lines, fill_meshes
 from nw_scenes.robots.spec import CameraMount, ImuMount, Vector3
 
@@ -28,7 +29,42 @@ mujoco: Any = _mujoco
 MOST_JOINTS, MOST_BODIES, MOST_GEOMS = 100, 300, 2_000
 """Of a robot."""
 
+_INDEPENDENT = 0.5  # volume of three unit axes
 _LIGHTEST, _HEAVIEST = 0.1, 2_000.0  # kg
+_T = TypeVar("_T")
+
+
+@dataclass
+class Shared:
+    """What robots of one model file have in common, whatever their robot.yaml says.
+
+    To compile a model and to write it out take seconds; drafts do it with several robot.yaml.
+
+    Attributes:
+        parts: by what they are made of.
+    """
+
+    parts: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any])
+
+    def get(self, key: Hashable, make: Callable[[], _T]) -> _T:
+        """Return a part; make it on first use."""
+        if key not in self.parts:
+            self.parts[key] = make()
+        return self.parts[key]
+
+
+@dataclass(frozen=True)
+class _Compiled:
+    """A model in which everything has a name, before anything of robot.yaml is in it."""
+
+    mjspec: Any
+    model: Any
+    masks: list[tuple[int, int]]
+    solid: set[str]
+    before: int
+    after: int
+    account: Account
+    notes: list[str]
 
 
 class CompiledRobot:
@@ -36,6 +72,7 @@ class CompiledRobot:
 
     Args:
         folder: of the robot.
+        shared: with other robots of its model file; None = with none.
 
     Attributes:
         folder, settings: where it comes from, and its robot.yaml.
@@ -50,19 +87,40 @@ class CompiledRobot:
         RobotError: MuJoCo cannot read or compile it, or it is not a robot.
     """
 
-    def __init__(self, folder: RobotFolder) -> None:
+    def __init__(self, folder: RobotFolder, shared: Shared | None = None) -> None:
         self.folder = folder
         self.settings = folder.settings
+        self.shared = shared or Shared()
         self._text = ""
         self.masks: list[tuple[int, int]] = []
         self.solid: set[str] = set()
-        self.mjspec: Any = self._parsed()
-        self._tidy()
-        self.model: Any = self.compiled(self.mjspec)
+        model = self.settings.model
+        kept = self.shared.get((folder.model_digest, model.file), self._compiled)
+        # A model that is not shared may be changed. A copy takes as much memory again.
+        self.mjspec: Any = kept.mjspec if shared is None else kept.mjspec.copy()
+        self.model: Any = kept.model
+        self.masks, self.solid = kept.masks, kept.solid
+        self.before, self.after = kept.before, kept.after
+        folder.account.update(kept.account)
+        folder.notes[:] = dict.fromkeys((*folder.notes, *kept.notes))
         self.data: Any = mujoco.MjData(self.model)
         self.root = self._root()
         self._weigh()
         self.bodies = [self.body_name(i) for i in range(1, self.model.nbody)]
+
+    def _compiled(self) -> _Compiled:
+        self.mjspec = self._parsed()
+        self._tidy()
+        return _Compiled(
+            mjspec=self.mjspec,
+            model=self.compiled(self.mjspec),
+            masks=self.masks,
+            solid=self.solid,
+            before=self.before,
+            after=self.after,
+            account=deepcopy(self.folder.account),
+            notes=[*self.folder.notes],
+        )
 
     def _parsed(self) -> Any:
         model = deepcopy(self.folder.model)
@@ -186,16 +244,27 @@ class CompiledRobot:
             for each in list(getattr(world, kind)):
                 self.folder.account.passes(f"{kind} of the world", "scenes have their own")
                 spec.delete(each)
-        joints = list(root.joints)
         if not _is_free(root):
-            if joints:
-                raise self.fault(
-                    ("model",), f"its top body {root.name!r} has joints that are not free"
-                )
-            root.add_freejoint()
+            self._free(root)
         self._name()
         paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
         self.solid = {g.name for g in self.geoms() if g.contype or g.conaffinity} | paired
+
+    def _free(self, root: Any) -> None:
+        """Give a root a free joint, in place of joints that together move it as one does."""
+        joints, kinds = list(root.joints), mujoco.mjtJoint
+        slides = [j.axis for j in joints if j.type == kinds.mjJNT_SLIDE]
+        hinges = [j.axis for j in joints if j.type == kinds.mjJNT_HINGE]
+        turns = len(joints) == 4 and joints[-1].type == kinds.mjJNT_BALL
+        turns = turns or (len(joints) == 6 and _is_basis(hinges))
+        if joints and not (turns and _is_basis(slides)):
+            raise self.fault(("model",), f"its top body {root.name!r} has joints that are not free")
+        for joint in joints:
+            for what in ("damping", "armature", "frictionloss", "stiffness"):
+                if np.any(getattr(joint, what)):
+                    self.folder.account.loses(f"{what} of the joints that move the root freely")
+            self.mjspec.delete(joint)
+        root.add_freejoint()
 
     def _meet_ground(self, root: Any, ground: Sequence[Any]) -> None:
         """Let the geoms that touch ground of the file touch that of scenes, and no others.
@@ -369,6 +438,11 @@ def _free_name(name: str, taken: set[str]) -> str:
 
 def _is_free(body: Any) -> bool:
     return any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+
+
+def _is_basis(axes: Sequence[Any]) -> bool:
+    """Whether motions along or about three axes make up all of space."""
+    return len(axes) == 3 and abs(np.linalg.det(np.array(axes))) > _INDEPENDENT
 
 
 def _coordinates(body: Any) -> int:

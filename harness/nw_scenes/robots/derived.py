@@ -12,14 +12,16 @@ from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from itertools import product
 from typing import Any, Literal
 from xml.etree.ElementTree import indent, tostring
 
 import mujoco as _mujoco
 import numpy as np
+import numpy.typing as npt
 
 from nw_base.errors import RobotError, nearest
-from nw_scenes.robots.compiled import CompiledRobot, Mounts
+from nw_scenes.robots.compiled import CompiledRobot, Mounts, Shared
 from nw_scenes.robots.folder import RobotFolder, fill_meshes
 from nw_scenes.robots.looks import colour_of, visuals_of
 from nw_scenes.robots.spec import COLLISION_GROUP, VISUAL_GROUP, Follow, RobotSpec
@@ -152,18 +154,24 @@ def _group_geoms(robot: CompiledRobot, *, is_seen_apart: bool) -> None:
 _GRAVITY = 9.806
 _FOOT_REACH = 0.02  # m above the lowest collision point, within which a body stands on the ground
 _UNLIMITED = 1e6  # rad
+_ENDLESS, _LEVEL = 4.0 * math.pi, 0.2  # rad that a wheel turns at least; cosine of its axle
+_ROUND, _SIDES = 0.9, 16  # least over largest radius of what is round, in so many directions
 # One and the same, for hinges.
 _ON_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
-def spec_of(folder: RobotFolder) -> RobotSpec:
+def spec_of(folder: RobotFolder, shared: Shared | None = None) -> RobotSpec:
     """Return the robot of a folder.
+
+    Args:
+        folder: of the robot.
+        shared: with other robots of its model file, which then need not be compiled again.
 
     Raises:
         RobotError: MuJoCo cannot compile the model, it is no robot that can be driven, or
             robot.yaml names what it does not have.
     """
-    return _Derivation(folder).spec()
+    return _Derivation(folder, shared).spec()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,6 +220,8 @@ class ModelFacts:
     friction: tuple[float, ...]
     is_limited: tuple[bool, ...]
     """Whether they have ranges."""
+    is_wheel: tuple[bool, ...]
+    """Whether they turn without end, what turns is round, and it is among what is lowest."""
     keyframes: dict[str, tuple[float, ...]]
     """Angles by name, rad, of those that fit."""
     bodies: int
@@ -221,21 +231,24 @@ class ModelFacts:
     """The one that is its eye."""
 
 
-def facts_of(folder: RobotFolder) -> ModelFacts:
+def facts_of(folder: RobotFolder, shared: Shared | None = None) -> ModelFacts:
     """Return what a model file says of its motors; `motors` of robot.yaml must name no values.
+
+    Args:
+        folder: of the robot.
+        shared: as for `spec_of`.
 
     Raises:
         RobotError: as `spec_of`, but for gains that nothing says.
     """
-    derivation = _Derivation(folder)
-    return derivation.facts()
+    return _Derivation(folder, shared).facts()
 
 
 class _Derivation(CompiledRobot):
     """Derives what follows from a compiled model and robot.yaml."""
 
-    def __init__(self, folder: RobotFolder) -> None:
-        super().__init__(folder)
+    def __init__(self, folder: RobotFolder, shared: Shared | None) -> None:
+        super().__init__(folder, shared)
         self.written = self._written()
         self.followers = self._followers()
         self.joints = self._joints()
@@ -254,18 +267,17 @@ class _Derivation(CompiledRobot):
         watched = tuple(self._parts(("body",), self._watched()))
         height, free = self.settings.spawn_height, published.free_joint
         mounts = Mounts(self)
-        visuals, pictured = visuals_of(self)
+        visuals, pictured = self.shared.get("visuals", lambda: visuals_of(self))
         follows: tuple[Follow, ...] = tuple(motor.follows for motor in motors)
-        round_wheels(
-            self,
-            [j for j, follow in zip(self.joints, follows, strict=True) if follow != "position"],
-        )
-        as_written = self.settings.model.as_written
-        mjcf = (
-            text_as_written(self, names)
-            if as_written
-            else rewritten(self, names, is_seen_apart=pictured == "visuals")
-        )
+
+        def text() -> str:
+            wheels = zip(self.joints, follows, strict=True)
+            round_wheels(self, [joint for joint, follow in wheels if follow != "position"])
+            if self.settings.model.as_written:
+                return text_as_written(self, names)
+            return rewritten(self, names, is_seen_apart=pictured == "visuals")
+
+        mjcf = self.shared.get((*names, *follows), text)
         spec = RobotSpec(
             name=self.settings.name,
             joints=tuple(names),
@@ -304,7 +316,7 @@ class _Derivation(CompiledRobot):
         names = self.joint_names(self.joints)
         motors = self._motors(names)
         self._stand(self._pose(names, [self._range(joint) for joint in self.joints]))
-        eye = Mounts(self).first_camera()
+        eye, lows = Mounts(self).first_camera(), self._lows()
         return ModelFacts(
             joints=tuple(names),
             has_motors=bool(self.written),
@@ -315,11 +327,35 @@ class _Derivation(CompiledRobot):
             armature=tuple(motor.armature for motor in motors),
             friction=tuple(motor.friction for motor in motors),
             is_limited=tuple(bool(self.model.jnt_limited[joint]) for joint in self.joints),
+            is_wheel=tuple(self._is_wheel(joint, lows) for joint in self.joints),
             keyframes={name: tuple(pose) for name, pose in self._keyframes()},
             bodies=len(self.bodies),
             mass=float(self.model.body_mass.sum()),
             camera=None if eye is None else eye[0],
         )
+
+    def _is_wheel(self, joint: int, lows: dict[str, float]) -> bool:
+        """Return whether a joint turns a wheel; where the robot stands in its pose."""
+        model, (low, high) = self.model, self._range(joint)
+        body = int(model.jnt_bodyid[joint])
+        level = abs(float(self.data.xaxis[joint, 2])) < _LEVEL
+        own = [g for g in np.flatnonzero(model.geom_bodyid == body) if collides(model, int(g))]
+        if not (high - low > _ENDLESS and level and own):
+            return False
+        axis, radius = model.jnt_axis[joint], 0.0
+        for geom in map(int, own):
+            points = _outline(model, geom) - model.jnt_pos[joint]
+            points = points - np.outer(points @ axis, axis)
+
+            first = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
+            first /= np.linalg.norm(first)
+            turns = np.arange(_SIDES) * (2.0 * math.pi / _SIDES)
+            ways = np.outer(np.cos(turns), first) + np.outer(np.sin(turns), np.cross(axis, first))
+            reach = (points @ ways.T).max(axis=0)
+            if reach.min() < _ROUND * reach.max():
+                return False
+            radius = max(radius, float(reach.max()))
+        return lows[self.body_name(body)] < min(lows.values()) + radius
 
     def _joints(self) -> list[int]:
         """Return the numbers of the joints that are driven, in the order of the tree."""
@@ -608,7 +644,7 @@ class _Derivation(CompiledRobot):
 
         A pose may have feet at several heights. One that falls has its feet as they are lowest.
         """
-        dropped = LevelGround(spec).drop()
+        dropped = self.shared.get("ground", lambda: LevelGround(spec)).under(spec).drop()
         if not dropped.stands:
             return spec.feet
         feet = [*spec.feet]
@@ -641,6 +677,28 @@ class _Derivation(CompiledRobot):
             self.model.geom(g).name for g in range(self.model.ngeom) if collides(self.model, g)
         ]
         return self.known(key, names, "geom that collides", [str(name) for name in geoms])
+
+
+def _outline(model: Any, geom: int) -> npt.NDArray[np.float64]:
+    """Return points on the border of a geom in its body, (N, 3) m."""
+    kind, size, R = model.geom_type[geom], model.geom_size[geom], np.empty(9)
+    mujoco.mju_quat2Mat(R, model.geom_quat[geom])
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = int(model.geom_dataid[geom])
+        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        points = model.mesh_vert[first : first + count].astype(np.float64)
+    elif kind == mujoco.mjtGeom.mjGEOM_BOX:
+        points = np.array([*product((-1.0, 1.0), repeat=3)]) * size
+    else:  # Round about z; a sphere and an ellipsoid about all axes.
+        turns = np.arange(64) * (2.0 * math.pi / 64)
+        ring = np.stack([np.cos(turns), np.sin(turns), 0.0 * turns], axis=1) * size[0]
+        half = np.array([0.0, 0.0, size[1]])
+        tall = kind in {mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE}
+        rings = (
+            [ring + half, ring - half] if tall else [ring, ring[:, [2, 0, 1]], ring[:, [1, 2, 0]]]
+        )
+        points = np.concatenate(rings)
+    return points @ R.reshape(3, 3).T + model.geom_pos[geom]
 
 
 def _patterns(joints: str | list[str]) -> list[str]:

@@ -13,7 +13,7 @@ import io
 import math
 import os
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, cast
@@ -280,6 +280,7 @@ class RobotFolder:
         poses: joint positions of its keyframes by name, as they are written.
         files: names of all files that were read.
         digest: hex SHA-256 of their names and bytes.
+        model_digest: the same of all but robot.yaml.
         notes: sentences about what is not drawn.
         account: what of the model file is passed over, or is not simulated.
     """
@@ -294,6 +295,7 @@ class RobotFolder:
     poses: dict[str, str]
     files: tuple[str, ...]
     digest: str
+    model_digest: str
     notes: list[str]
     account: Account
 
@@ -350,10 +352,17 @@ def read_folder(
         names=reader.names,
         poses=poses,
         files=tuple(reader.seen),
-        digest=reader.digest,
+        digest=reader.digest(),
+        model_digest=reader.digest(ROBOT_FILE),
         notes=reader.notes,
         account=reader.account,
     )
+
+
+def digest_of(seen: Mapping[str, str]) -> str:
+    """Return the digest of a folder, from the SHA-256 of its files by name."""
+    text = "".join(f"{name}\0{seen[name]}\n" for name in sorted(seen))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 @dataclass
@@ -373,11 +382,9 @@ class _Reader:
     base: str = ""
     """The folder of the model file, from which its paths start, within the robot's."""
 
-    @property
-    def digest(self) -> str:
-        """Of all that was read."""
-        text = "".join(f"{name}\0{self.seen[name]}\n" for name in sorted(self.seen))
-        return hashlib.sha256(text.encode()).hexdigest()
+    def digest(self, *but: str) -> str:
+        """Of all that was read, but some files."""
+        return digest_of({name: own for name, own in self.seen.items() if name not in but})
 
     def take(self, name: str, content: bytes) -> bytes:
         """Let a file count for the digest."""

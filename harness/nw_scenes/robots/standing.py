@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -72,22 +73,31 @@ class LevelGround:
     """
 
     def __init__(self, robot: RobotSpec) -> None:
+        self._robot = robot
         spec = mujoco.MjSpec.from_string(robot.mjcf)
         spec.option.timestep = _TIMESTEP
         spec.option.gravity = [0.0, 0.0, -_GRAVITY]
-        gains = (robot.kp, robot.joint_damping, robot.torque_limits)
-        motors = (*gains, robot.armature, robot.friction_loss)
-        for name, kp, kd, torque, armature, friction in zip(robot.joints, *motors, strict=True):
+        for name, kp, kd, torque, armature, friction in zip(
+            robot.joints, *_motors(robot), strict=True
+        ):
             joint, servo = spec.joint(name), spec.actuator(name)
             joint.damping[0], joint.armature, joint.frictionloss = kd, armature, friction
             servo.gainprm[0], servo.biasprm[1], servo.forcerange = kp, -kp, [-torque, torque]
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
-        self._robot = robot
         self._model: Any = spec.compile()
         self._data: Any = mujoco.MjData(self._model)
         joints = [int(self._model.joint(name).id) for name in robot.joints]
         self._places = self._model.jnt_qposadr[joints]
         self._root = int(self._model.body(robot.root).id)
+
+    def under(self, robot: RobotSpec) -> LevelGround:
+        """Return the ground under another robot: this model, if that has the same motors."""
+        own = self._robot
+        if robot.mjcf != own.mjcf or _motors(robot) != _motors(own):
+            return LevelGround(robot)
+        other = copy(self)
+        other._robot = robot  # noqa: SLF001 - of its own class.
+        return other
 
     @property
     def mass(self) -> float:
@@ -165,6 +175,11 @@ class LevelGround:
         return max(abs(roll), abs(pitch)) > robot.fell_tilt or bool(is_low)
 
 
+def _motors(robot: RobotSpec) -> tuple[tuple[float, ...], ...]:
+    gains = (robot.kp, robot.joint_damping, robot.torque_limits)
+    return *gains, robot.armature, robot.friction_loss
+
+
 class _Measure:
     """Adds up what steps of the physics show."""
 
@@ -227,7 +242,12 @@ def standing_pose(robot: RobotSpec) -> dict[str, float] | None:
     """
     model = mujoco.MjModel.from_xml_string(robot.mjcf)
     data = mujoco.MjData(model)
-    ranges = dict(zip(robot.joints, robot.joint_ranges, strict=True))
+    follows = robot.follows or ("position",) * len(robot.joints)
+    ranges = {
+        name: limits
+        for name, limits, follow in zip(robot.joints, robot.joint_ranges, follows, strict=True)
+        if follow == "position"
+    }
     # Bent legs turn the axes of joints below: they are looked at where all are straight.
     for name, (low, high) in ranges.items():
         data.qpos[model.joint(name).qposadr[0]] = min(max(0.0, low), high)

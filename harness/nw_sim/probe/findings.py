@@ -21,7 +21,7 @@ from nw_places.entries import parted
 from nw_policies.cards import Card, motors_follow
 from nw_policies.cards.card import LEFT_OUT, ConstantCommand
 from nw_policies.cards.feeding import resolve_inputs
-from nw_policies.cards.joints import short_name
+from nw_policies.cards.joints import all_joints, short_name
 from nw_policies.cards.networks import input_parts
 from nw_policies.cards.observations import ProprioObservation, SplatRgbObservation
 from nw_scenes.robots import RobotSpec
@@ -248,7 +248,7 @@ def action_findings(
     if card.control.clip is not None:
         low, high = card.control.clip
         cut = ((actions <= low) | (actions >= high)).mean(axis=0)
-        order = card.control.joints or list(robot.joints)
+        order = all_joints(card.control.joints, card.control.held, robot.joints)
         findings += _by_joint(
             cut, order, f"the action is at its limits {low:g}..{high:g} (`control.clip`)"
         )
@@ -352,6 +352,7 @@ def _share_at(part: Part, recording: Recording) -> float:
     return float(((values <= low) | (values >= high)).mean())
 
 
+_REACHED = "then reached:"  # with another card, before its figures
 _CLEARLY = 0.1  # Fall of the deviation from which on another card is told.
 _SLIGHTLY = 0.03  # Fall from which on a card counts for more than a likelier one.
 _ENOUGH = 0.1  # Deviation below which no card is clearly better. Of right cards: 0.07 to 0.23.
@@ -419,7 +420,8 @@ def compare(
         trials = None if isinstance(card.command, ConstantCommand) else _Trials(rig, card)
         others = _others(rig, card, robot, written, trials, stumbles=recording.stumbles)
         if trials is not None and not any(one.kind == "fault" for one in others):
-            findings = _excused(findings, written, trials)
+            helps = any(_REACHED in one.text for one in others)
+            findings = _excused(findings, written, trials, helps=helps)
         findings += others
     return ([] if recording.stumbles else written), findings
 
@@ -454,12 +456,19 @@ def _walk(rig: Rig, card: Card) -> Walk:
 
 
 def _excused(
-    findings: list[ProbeFinding], written: Sequence[Followed], trials: _Trials
+    findings: list[ProbeFinding], written: Sequence[Followed], trials: _Trials, *, helps: bool
 ) -> list[ProbeFinding]:
-    """Return what is missed as notes where the trial is completed and no command is reversed."""
+    """Return what is missed as notes where it may be the policy's own.
+
+    Some policies turn little, or not at all: they walk ahead as commanded, and no other card helps;
+    or the trial is completed. No policy does the opposite of a command under its own card.
+    """
     faulty = any(one.kind == "fault" for one in findings)
-    if not faulty or stands_still(written) or any(one.is_opposite for one in written):
+    if not faulty or stands_still(written) or any(one.is_opposite or one.fell for one in written):
         return findings
+    ahead = [one for one in written if one.motion.is_used and one.motion.axis == 0]
+    if ahead and not helps and not any(one.is_missed or one.stumbled for one in ahead):
+        return [replace(one, kind="note") for one in findings]
     try:
         if not trials.written.completed:
             return findings
@@ -509,7 +518,7 @@ def _others(
         except SpentError:
             is_fault = False
         does = ("walks" if stumbles else "follows") + ("" if is_fault else " better")
-        text = f"it {does} {best.hypothesis.advice(card)}\n  then reached: {best.figures}"
+        text = f"it {does} {best.hypothesis.advice(card)}\n  {_REACHED} {best.figures}"
         return [ProbeFinding(kind="fault" if is_fault else "note", text=text), *cut]
     if cut or not is_bad:
         return cut

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from nw_base.errors import PolicyError
 from nw_policies.cards import Card, JointControl, actuator_values
-from nw_policies.cards.joints import joint_order, joint_values, short_name
+from nw_policies.cards.joints import all_joints, joint_order, joint_values, short_name
 from nw_policies.cards.model import CONTROL_RATE
 from nw_policies.cards.observations import AnyObservation, ProprioObservation
 from nw_policies.cards.terms import (
@@ -121,7 +121,7 @@ def hypotheses(card: Card, robot: RobotSpec) -> Iterator[Hypothesis]:
         *scaled_cards(card, robot),
         *turned_cards(card, robot),
         *absolute_terms(card),
-        *swapped_terms(card, card.control.joints or robot.joints),
+        *swapped_terms(card, all_joints(card.control.joints, card.control.held, robot.joints)),
         *moved_terms(card),
         *framed_terms(card),
         *other_velocities(card),
@@ -167,8 +167,14 @@ def _orders(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
     change places, and joints go leg by leg or kind by kind; else joints are sorted by name, as
     Isaac Gym sorts them.
     """
-    own = joint_order(card.control.joints or robot.joints, robot.joints)
-    names = [short_name(joint) for joint in robot.joints]
+    held = card.control.held
+
+    def order(joints: list[str] | None) -> list[int]:
+        return joint_order(all_joints(joints, held, robot.joints), robot.joints).tolist()
+
+    own = order(card.control.joints)
+    named = card.control.joints if held is not None else None
+    names = [short_name(joint) for joint in named or robot.joints]
     pairs = [tuple(name.split("_", 1)) for name in names]
     legs, kinds = (list(dict.fromkeys(pair[end] for pair in pairs)) for end in (0, -1))
     orders: list[tuple[str, list[str]]] = []
@@ -184,7 +190,7 @@ def _orders(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
     else:
         orders.append(("the joints sorted by name", sorted(names)))
     for words, joints in orders:
-        if (joint_order(joints, robot.joints) != own).any():
+        if order(joints) != own:
             yield words, _with_control(card, joints=joints)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from base64 import b64encode
+from base64 import b64decode, b64encode
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
@@ -11,16 +11,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from nw_base.confinement import Rules, memory_to_run
 from nw_base.errors import CrashError, PolicyError, RobotError
 from nw_base.lens import Intrinsics
-from nw_scenes.robots import FoundRobot, RobotSpec, find_robot, robot_folder
+from nw_scenes.robots import FoundRobot, RobotSpec, files_of, find_robot, robot_folder
+from nw_scenes.robots.kept import keep, packed
 from nw_scenes.robots.spec import CameraMount
 from nw_scenes.robots.standing import Drop, LevelGround
 from nw_sim.catalogue import get_scene
 from nw_sim.physics import World
+from nw_sim.rollout.confined.access import robots_kept
 from nw_sim.rollout.confined.isolated import call_isolated
 from nw_sim.rollout.replaying.third_person import Spectator
 from nw_sim.sensors.drawing.pictures import Cell, draw_sheet
@@ -295,7 +297,10 @@ def check_robot(reference: str) -> tuple[CheckedRobot, bytes]:
         picture = TypeAdapter(bytes, config={"val_json_bytes": "base64"}).validate_json(
             f'"{answer["picture"]}"'
         )
-    except (ValidationError, KeyError, TypeError):
+        if folder is not None:
+            files = TypeAdapter(list[str]).validate_python(answer["files"])
+            keep(folder, files, b64decode(TypeAdapter(str).validate_python(answer["kept"])))
+    except (ValueError, KeyError, TypeError):
         raise RobotError(f"{reference}: the check gave no answer that can be read") from None
     return checked, picture
 
@@ -306,7 +311,7 @@ def isolated(function: Any, *, subject: str, folder: Path | None, **arguments: A
     Raises:
         RobotError: what the function raised; or the process died, or took too long.
     """
-    reads = () if folder is None else (folder.resolve(),)
+    reads = () if folder is None else (folder.resolve(), *robots_kept())
     rules = Rules(
         reads=reads, memory=memory_to_run(_size(folder), scenes=1), seconds=STANDING_SECONDS
     )
@@ -343,7 +348,10 @@ def _size(folder: Path | None) -> int:
 def _check(*, robot: str) -> dict[str, Any]:
     """Stand a robot, and draw it; as plain values."""
     checked, dropped, entry = check_here(robot)
+    files = files_of(entry)
     return {
+        "files": list(files),
+        "kept": b64encode(packed(entry.spec, entry.notes)).decode() if files else "",
         "checked": asdict(checked),
         "picture": b64encode(_picture(entry.spec, dropped, checked)).decode(),
     }

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
@@ -20,8 +21,10 @@ from nw_base.errors import RobotError, UsageError
 from nw_base.files.inside import OutsideError, inside, what_is
 from nw_policies.drafting.notation import CHECK, number, plain, quoted, slug
 from nw_scenes.robots import BUILT_IN, RobotSpec
+from nw_scenes.robots.compiled import Shared
 from nw_scenes.robots.derived import ModelFacts, facts_of, spec_of
 from nw_scenes.robots.folder import RobotFolder, read_folder
+from nw_scenes.robots.kept import notes_of, packed
 from nw_scenes.robots.standing import Drop, LevelGround, standing_pose
 from nw_sim.probe.robot_check import isolated
 
@@ -47,6 +50,8 @@ class DraftedRobot:
     files: tuple[str, ...]
     """Model and meshes, within the folder."""
     stands: bool
+    kept: str
+    """What the cache keeps of it, as base64."""
 
 
 def draft_robot(model: Path, *, name: str = "") -> tuple[DraftedRobot, Path]:
@@ -64,7 +69,7 @@ def draft_robot(model: Path, *, name: str = "") -> tuple[DraftedRobot, Path]:
     """
     if what_is(model) != "file":
         raise UsageError(f"there is no file {model}", fix="name an MJCF (.xml) or a URDF (.urdf)")
-    refused: dict[int, list[str]] = {}
+    refused: dict[tuple[int, bool], list[str]] = {}
     for root in _roots(model.resolve()):
         answer = isolated(
             _draft,
@@ -77,7 +82,9 @@ def draft_robot(model: Path, *, name: str = "") -> tuple[DraftedRobot, Path]:
         try:
             if "refused" in answer:  # A mesh that is not in this folder may be in the one above.
                 read, lines = TypeAdapter(tuple[int, list[str]]).validate_python(answer["refused"])
-                refused.setdefault(read, lines)
+                # The nearest folder of those that say the same, but rather that a file is not there
+                # than that it may not be looked for.
+                refused.setdefault((read, _ELSEWHERE[0] in lines[0]), lines)
                 continue
             drafted = TypeAdapter(DraftedRobot).validate_python(answer)
             for each in drafted.files:
@@ -119,30 +126,38 @@ class _Draft:
         self.named_anew = own in BUILT_IN
         self.name = f"my-{own}" if self.named_anew else own or "robot"
         self.folder = self._read("motors: [{joints: '*'}]")
-        self.facts: ModelFacts = facts_of(self.folder)
+        self.shared = Shared()
+        self.facts: ModelFacts = facts_of(self.folder, self.shared)
 
     def _read(self, *lines: str) -> RobotFolder:
         self.seen.clear()
         head = ["nw-robot: 1", f"name: {self.name}", f"model: {{file: {_file(self.file)}}}"]
         return read_folder(self.root, "\n".join([*head, *lines]) + "\n", self.seen)
 
+    def _spec(self, *lines: str) -> RobotSpec:
+        return spec_of(self._read(*lines), self.shared)
+
+    def _ground(self, spec: RobotSpec) -> LevelGround:
+        return self.shared.get("ground", lambda: LevelGround(spec)).under(spec)
+
     def drafted(self) -> DraftedRobot:
         """Return the draft."""
         motors = self._motor_lines()
-        first = spec_of(self._read("pose: {}", *motors))
+        first = self._spec("pose: {}", *motors)
         pose, how = self._pose(first)
-        spec = spec_of(self._read(f"pose: {pose}", *motors))
+        spec = self._spec(f"pose: {pose}", *motors)
         dropped = self._dropped(spec)
         lines = [*self._head(), *self._body_lines(spec, dropped, pose, how), *motors]
         lines += [*self._end_lines(spec), *self._left_out()]
         text = "\n".join(lines) + "\n"
         folder = read_folder(self.root, text)
-        spec_of(folder)  # It can be run as it is.
+        own = spec_of(folder, self.shared)  # It can be run as it is.
+        kept = b64encode(packed(own, notes_of(folder))).decode()
         files = tuple(name for name in folder.files if name != "robot.yaml")
-        return DraftedRobot(text=text, files=files, stands=dropped.stands)
+        return DraftedRobot(text=text, files=files, stands=dropped.stands, kept=kept)
 
     def _dropped(self, spec: RobotSpec) -> Drop:
-        return LevelGround(spec).drop(held=len(spec.feet) < 3)
+        return self._ground(spec).drop(held=len(spec.feet) < 3)
 
     def _head(self) -> list[str]:
         facts = self.facts
@@ -160,7 +175,7 @@ class _Draft:
 
     def _pose(self, first: RobotSpec) -> tuple[str, str]:
         """Return the pose as YAML, and the comment on it: the first that all its feet carry."""
-        ground, held = LevelGround(first), len(first.feet) < 3
+        ground, held = self._ground(first), len(first.feet) < 3
         feet = ground.bodies_of(first.feet)
         tries = [
             (quoted(key), f"# the keyframe of {plain(self.file)}", self.facts.keyframes[key])
@@ -191,11 +206,17 @@ class _Draft:
         for i in range(len(facts.joints)):
             torque, kp, kd = facts.torque[i], facts.kp[i], facts.kd[i]
             values, guessed = list[str](), list[str]()
+            follows = facts.is_wheel[i] and kp is None
+            if follows:
+                values.append("follows: velocity")
             if torque is None:
                 torque = _rounded(_TORQUE_OF_WEIGHT * weight)
                 values.append(f"torque: {number(torque)}")
                 guessed.append("torque is 0.2 m of its weight")
-            if kp is None:
+            if follows:
+                values.append(f"kd: {number(_rounded(_KD_OF_KP * torque))}")
+                guessed.append("a wheel, by its shape and range; kd = torque limit / 40 rad/s")
+            elif kp is None:
                 kp = _rounded(_KP_OF_TORQUE * torque)
                 own, kd = kd, kd + _rounded(_KD_OF_KP * kp)
                 values += [f"kp: {number(kp)}", f"kd: {number(kd)}"]
@@ -275,12 +296,20 @@ class _Draft:
         facts, weight = self.facts, self.facts.mass * _GRAVITY
         widths = [high - low for low, high in spec.joint_ranges]
         for what, doubted in (
-            ("joints without a range in the file", [not each for each in facts.is_limited]),
+            (
+                "joints without a range in the file",
+                [
+                    not (limited or wheel)
+                    for limited, wheel in zip(facts.is_limited, facts.is_wheel, strict=True)
+                ],
+            ),
             (
                 "ranges of over two turns or under 5 degrees, as of degrees meant as radians",
                 [
-                    limited and not _NARROW < width < _WIDE
-                    for limited, width in zip(facts.is_limited, widths, strict=True)
+                    limited and not (wheel or _NARROW < width < _WIDE)
+                    for limited, wheel, width in zip(
+                        facts.is_limited, facts.is_wheel, widths, strict=True
+                    )
                 ],
             ),
             (

@@ -135,6 +135,7 @@ class Episode:
         self.coverage = _ImageCoverage()
         self.captured = CapturedViews(world.control_rate)
         self._hold = hold
+        self._control = control
         self._clock = clock
         self._pushes = pushes
         self._scores = scores
@@ -343,14 +344,14 @@ class Episode:
         """Return the policy's action for an observation."""
         with policy_at_fault():
             action = self.policy.act(observation)
-        count = len(self.world.robot.joints)
+        count = len(self._control.driven)
         if action.shape != (count,) or not all_finite(action):
             raise PolicyFailedError(
                 f"the policy's action is not {count} finite numbers: {action}",
                 kind="action",
                 fix="check the checkpoint, and the observations' scales on its card",
             )
-        return action
+        return self._control.whole(action)
 
 
 class Actions:

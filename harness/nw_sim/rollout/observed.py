@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from nw_base import same_bits
 from nw_base.lens import Intrinsics
 from nw_policies.cards import terms, wrappers
-from nw_policies.cards.joints import short_name
+from nw_policies.cards.joints import all_joints, short_name
 from nw_policies.cards.observations import (
     CameraObservation,
     DepthObservation,
@@ -134,7 +134,7 @@ class Seen:
         self._names = topic_names(card)
         sizes = {name: prod(sensors[name].shape) for name in card.observations}
         self._images = [n for n in sizes if n in self._views or sizes[n] > MANY]
-        joints = card.control.joints or world.robot.joints
+        joints = all_joints(card.control.joints, card.control.held, world.robot.joints)
         rows = {
             name: SeenRow(
                 topic=f"/observation/{self._names[name]}",
@@ -383,7 +383,7 @@ def _is_bytes(image: Image) -> bool:
 
 def action_names(card: Card, robot: RobotSpec) -> dict[str, Names]:
     """Return the names of what `/nw/policy` holds, by topic and field."""
-    own = tuple(map(short_name, card.control.joints or robot.joints))
+    own = tuple(map(short_name, all_joints(card.control.joints, card.control.held, robot.joints)))
     motors = tuple(map(short_name, robot.joints))
     return {
         "/nw/policy.action": own,
@@ -452,10 +452,13 @@ def _of_term(term: AnyTerm, joints: Names) -> list[str]:
 
 def _parts(term: AnyTerm, joints: Names) -> Sequence[str]:
     match term:
-        case terms.JointPosition() | terms.JointVelocity():
+        case (
+            terms.JointPosition()
+            | terms.JointVelocity()
+            | terms.AppliedAction()
+            | terms.LastOutput()
+        ):
             return [joints[index] for index in terms.seen_joints(term, joints)]
-        case terms.AppliedAction() | terms.LastOutput():
-            return joints
         case terms.FootContacts():
             return term.feet
         case terms.GaitClock():

@@ -191,9 +191,11 @@ def _fed_back(
     term: terms.AppliedAction | terms.LastOutput,
     control: JointControl,
 ) -> Reader:
-    if not term.clipped:
-        return read
-    return lambda moment: read(moment).clip(control.low, control.high)
+    low, high = (control.low, control.high) if term.clipped else (-np.inf, np.inf)
+    if term.leave_out:
+        seen = terms.seen_joints(term, control.names)
+        return lambda moment: read(moment)[seen].clip(low, high)
+    return (lambda moment: read(moment).clip(low, high)) if term.clipped else read
 
 
 def _foot_contacts(term: terms.FootContacts, feet: Sequence[str]) -> Reader:
@@ -229,7 +231,8 @@ def velocity_at(command: Command, error: float) -> tuple[float, float, float]:
         return command.speed, 0.0, 0.0
     forward = max(0.0, math.cos(error)) if command.slow_in_turns else 1.0
     turn, limit = command.yaw_gain * error, command.yaw_limit
-    return command.speed * forward, 0.0, min(max(turn, -limit), limit)
+    ahead = max(command.least_speed or 0.0, command.speed * forward)
+    return ahead, 0.0, min(max(turn, -limit), limit)
 
 
 def commanded_speed(command: Command) -> float:

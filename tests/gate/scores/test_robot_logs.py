@@ -12,6 +12,7 @@ import math
 import os
 import sqlite3
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -801,6 +802,7 @@ def test_messages_that_are_packed_one_by_one_are_unpacked(tmp_path):
         ("gap_10s", {"mean_power": 24.0}),
         ("first_time_zero", {"mean_power": 24.0, "distance_before_fall": 1.98}),
         ("pose_first_time_zero", {"distance_before_fall": 1.98}),
+        ("lowstate", {"mean_power": 24.0}),
     ],
 )
 def test_logs_that_were_found(name, expected):
@@ -813,6 +815,25 @@ def test_logs_that_were_found(name, expected):
             assert found.missing[score]
         else:
             assert found.values[score] == pytest.approx(value, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("source", "kind", "field", "reading"),
+    [
+        ("joints", "unitree_go/msg/LowState", "motor_state", "joint_positions"),
+        ("targets", "unitree_go/msg/LowCmd", "motor_cmd", "targets"),
+    ],
+)
+def test_motors_of_unitree_are_counted_from_the_right_front_leg(source, kind, field, reading):
+    """Unitree's documents count FR, FL, RR, RL, each hip, thigh, calf; 20 places, 12 of motors."""
+    motors = [SimpleNamespace(q=float(n), dq=1.0, tau=2.0, tau_est=2.0) for n in range(20)]
+    message = SimpleNamespace(**{field: motors})
+    values = values_of(source, message, kind, GO1, {}, "/low")
+    kinds = [
+        f"{leg}_{part}" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "thigh", "calf")
+    ]
+    expected = [float(kinds.index(name.removesuffix("_joint"))) for name in GO1.joints]
+    assert values[reading] == expected
 
 
 # The account of fields.

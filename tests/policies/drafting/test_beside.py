@@ -265,6 +265,15 @@ def test_env_yaml_says_what_its_patterns_say_of_each_joint(card_of):
             "    history_length: 5",
             "says 5 frames of them, the checkpoint",
         ),
+        ("actuator_pd:DCMotor", "actuator_net:ActuatorNetLSTM", "of the kind ActuatorNetLSTM"),
+        (
+            "armature: null",
+            "armature: null\n        network_file: m.pt",
+            "a network was its motors",
+        ),
+        ("armature: null", "armature: null\n        max_delay: 4", "0 to 4 physics steps late"),
+        ("armature: null", "armature: null\n        friction: 0.3", "friction 0.3"),
+        (":DCMotor", ":IdealPDActuator", None),
         ("JointPositionAction", "JointPositionAction", None),
     ],
 )
@@ -272,7 +281,8 @@ def test_what_of_env_yaml_a_card_has_otherwise_is_to_be_checked(card_of, old, ne
     assert old in ENVIRONMENT
     text, _ = card_of(45, {"../params/env.yaml": ENVIRONMENT.replace(old, new)})
     marked = [line for line in text.splitlines() if "CHECK: " in line]
-    words = [said] if said else ["takes it for", "order of its own", "frames of them", "count from"]
+    none = ["takes it for", "order of its own", "frames of them", "count from", "steps late"]
+    words = [said] if said else none
     assert any(word in line for word in words for line in marked) == bool(said)
 
 

@@ -2,6 +2,7 @@
 
 import re
 from contextlib import suppress
+from dataclasses import replace
 from xml.etree import ElementTree as ET
 
 import mujoco
@@ -672,3 +673,31 @@ def test_a_draft_tells_the_fault_of_the_folder_in_which_most_was_found(tmp_path)
     )
     with pytest.raises(RobotError, match="its top body 'b' has joints that are not free"):
         draft_robot(model)
+    # Neither folder gets farther than the other: the one below the mesh may not look for it.
+    (tmp_path / "bot" / "meshes" / "m.stl").unlink()
+    with pytest.raises(RobotError, match=r"mesh 'meshes/m.stl' is not in the folder"):
+        draft_robot(model)
+
+
+SLIDES = "<joint type='slide' axis='1 0 0'/><joint type='slide' axis='0 1 0'/>"
+ALONG_Z = "<joint type='slide' axis='0 0 1'/>"
+HINGES = "".join(f"<joint axis='{axis}'/>" for axis in ("1 0 0", "0 1 0", "0 0 1"))
+
+
+def freed(tmp_path, joints, monkeypatch):
+    """Return the table with other joints at its root, but for the name of that joint."""
+    monkeypatch.setitem(globals(), "STAND", STAND.replace("<freejoint/>", joints))
+    spec, _, _ = stand(tmp_path)
+    monkeypatch.undo()
+    return replace(spec, root_joint="", mjcf=spec.mjcf.replace(spec.root_joint, ""))
+
+
+@pytest.mark.parametrize("turns", ["<joint type='ball'/>", HINGES])
+def test_joints_that_move_the_root_as_a_free_joint_does_are_one(tmp_path, turns, monkeypatch):
+    free = freed(tmp_path, "<freejoint/>", monkeypatch)
+    assert freed(tmp_path, SLIDES + ALONG_Z + turns, monkeypatch) == free
+
+
+def test_joints_that_leave_the_root_one_way_less_are_no_free_joint(tmp_path, monkeypatch):
+    with pytest.raises(RobotError, match="has joints that are not free"):
+        freed(tmp_path, SLIDES + "<joint type='ball'/>", monkeypatch)

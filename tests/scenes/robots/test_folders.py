@@ -416,6 +416,7 @@ def test_what_is_too_much_is_refused_before_it_is_compiled(tmp_path, monkeypatch
     long = f"<!--{'x' * limits.XML_BYTES}-->"
     assert "over 4" in faults(tmp_path, MJCF + long)
     monkeypatch.setattr(limits, "FACES", 11)
+    monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path / "cache"))  # Other tests kept this robot.
     assert "mesh 'shapes/shell.stl' has over 11 faces" in faults(tmp_path)
 
 

@@ -281,3 +281,34 @@ def test_the_example_of_a_robot_on_wheels_and_its_card_fit_each_other(tmp_path):
     assert {name for name, told in follows.items() if told == "velocity"} == {
         name for name in robot.joints if "wheel" in name
     }
+
+
+def drafted(tmp_path, mjcf):
+    from nw_eval import api
+
+    folder = written(tmp_path / "cart", mjcf)
+    (folder / "robot.yaml").unlink()
+    return api.init_robot(folder / "cart.xml").text
+
+
+def test_a_draft_takes_what_is_round_low_and_turns_without_end_for_a_wheel(tmp_path):
+    text = drafted(tmp_path, MJCF)
+    (line,) = [line for line in text.splitlines() if "follows: velocity" in line]
+    assert '"*_wheel"' in line
+    assert "a wheel, by its shape and range" in line.partition("CHECK")[2]
+
+
+@pytest.mark.parametrize(
+    ("was", "now"),
+    [
+        ('axis="0 1 0"/>', 'axis="0 1 0" range="-90 90"/>'),  # It does not turn without end.
+        ('type="mesh" mesh="wheel"', 'type="box" size="0.1 0.02 0.1"'),  # It is not round.
+        ('<joint name="{0}_wheel" axis="0 1 0"/>', '<joint name="{0}_wheel" axis="0 0 1"/>'),
+    ],
+)
+def test_a_draft_takes_nothing_else_for_a_wheel(tmp_path, was, now):
+    mjcf = MJCF
+    for name in CORNERS:
+        mjcf = mjcf.replace(was.format(name), now.format(name))
+    assert mjcf != MJCF
+    assert "follows: velocity" not in drafted(tmp_path, mjcf)

@@ -95,6 +95,17 @@ def test_a_policy_that_follows_weakly_is_told_a_better_scale_and_no_fault(compar
     assert findings == []
 
 
+@pytest.mark.parametrize(
+    ("shares", "kind"), [((0.9, 0.8, 0.36), "note"), ((0.36, 0.8, 0.9), "fault")]
+)
+def test_a_policy_that_walks_and_hardly_turns_has_no_faulty_card(compared, obeys, shares, kind):
+    """Both official G1s turn at 0.0 to 0.4 of a command, also in MuJoCo alone."""
+    _, findings, _ = compared(lambda card, _: obeys(card, shares))
+    missed = [kind for kind, text in findings if "reached (36%)" in text]
+    assert missed
+    assert set(missed) == {kind}
+
+
 def test_a_policy_that_stands_still_is_told_so_once(compared, obeys):
     followed, findings, _ = compared(lambda card, _: obeys(card, (-0.001, 0.0, -0.002)))
     assert len(followed) == 5

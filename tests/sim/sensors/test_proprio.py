@@ -226,6 +226,14 @@ def test_the_trail_follower_steers_to_the_next_waypoint(world, yaw, expected, re
     assert read(world, terms("command"), command=command) == pytest.approx(expected, abs=1e-6)
 
 
+def test_the_trail_follower_keeps_a_least_speed_in_turns(world, read):
+    command = {"source": "trail_follower", "speed": 0.8, "least_speed": 0.3}
+    world.reset(position=(0.0, 0.0, 0.4), yaw=np.pi / 2)  # The waypoint is to the right.
+    assert read(world, terms("command"), command=command)[0] == pytest.approx(0.3)
+    world.reset(position=(0.0, 0.0, 0.4), yaw=0.0)
+    assert read(world, terms("command"), command=command)[0] == pytest.approx(0.8)
+
+
 def test_a_constant_command_is_constant(world, read):
     command = {"source": "constant", "velocity": [0.5, -0.1, 0.2]}
     assert read(world, terms("command"), command=command) == pytest.approx([0.5, -0.1, 0.2])

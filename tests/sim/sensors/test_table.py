@@ -12,7 +12,10 @@ from nw_policies.cards.wrappers import BUILT_IN_WRAPPERS, BuiltInWrapper, Wrappe
 from nw_sim.sensors import check_card
 from nw_sim.sensors.wrappers import Chain, Spec, make_wrappers
 
-NEEDED = {"proprio": {"layout": "parkour53"}}
+NEEDED = {
+    "proprio": {"layout": "parkour53"},
+    "reference": {"terms": ["joint_positions"]},
+}
 NEEDED_BY_WRAPPERS = {
     "resize": {"width": 4, "height": 2},
     "clip": {"limits": 1.0},
@@ -44,7 +47,8 @@ def test_names_and_schema_follow_from_the_union(key, names, union):
 
 @pytest.mark.parametrize("name", BUILT_IN_SENSORS)
 def test_every_sensor_is_measured_as_the_page_says(name, card_of):
-    (spec,) = check_card(card_of({"o": {"sensor": name, **NEEDED.get(name, {})}}))
+    fields = {"reference": {"file": "dance.npz"}} if name == "reference" else {}
+    (spec,) = check_card(card_of({"o": {"sensor": name, **NEEDED.get(name, {})}}, **fields))
     (row,) = [line for line in PAGE.read_text().splitlines() if line.startswith(f"| `{name}` | (")]
     shape = row.split("|")[2]
     assert str(spec.dtype) in shape

@@ -34,7 +34,7 @@ def inspecting_rules(
     what LEAPP wrote beside it of the state that a pipeline begins with.
     """
     beside = sorted(checkpoint.parent.glob("*_initial_values.safetensors"))[:4]
-    paths = (checkpoint, robot, also, *beside)
+    paths = (checkpoint, robot, also, *beside, *robots_kept())
     return Rules(
         reads=tuple(path.resolve() for path in paths if path is not None),
         memory=memory_to_open(_size(checkpoint)),
@@ -60,7 +60,7 @@ def opening_rules(bundle: Bundle, *, allow_code: bool, also: Sequence[Path] = ()
     """
     is_code = allow_code and bool(bundle.code_sha256)
     return Rules(
-        reads=(*_files(bundle), *also),
+        reads=(*_files(bundle), *also, *robots_kept()),
         memory=None if is_code else memory_to_open(_size(*bundle.files)),
         seconds=None if is_code else OPENING_SECONDS,
         off=why_off(code=allow_code and senses_by_code(bundle.card)),
@@ -165,6 +165,14 @@ def why_off(*, code: bool, render: Backend = "cpu", in_process: bool = False) ->
 
 def _files(bundle: Bundle) -> tuple[Path, ...]:
     return (bundle.folder.resolve(), *(path.resolve() for path in bundle.files))
+
+
+def robots_kept() -> tuple[Path, ...]:
+    """Return the folder of the cache in which robots are kept; none where it cannot be made."""
+    try:
+        return (cache_dir("robots"),)
+    except StoreError:
+        return ()
 
 
 def _cache() -> tuple[Path, ...]:

@@ -18,12 +18,17 @@ from google.protobuf.unknown_fields import UnknownFieldSet
 from mcap_ros2.decoder import DecoderFactory
 
 from nw_base.errors import UsageError
+from nw_policies.drafting.configs import motor_names
 from nw_scenes.robots import RobotSpec
 from nw_sim.rollout.mcap.reader import MOST_MESSAGE, ForeignMessage
 
 USED, NOTED = "used", "noted where it is not 0"
 _TWIST = "linear.x+ linear.y+ linear.z! angular.x! angular.y! angular.z+"
 _COVARIANCE = "scores do not weigh readings; -1 in front, not measured, is used"
+_BOARD = (
+    "head level_flag frame_reserve sn version bandwidth bms_state bms_cmd tick wireless_remote "
+    "reserve crc"
+)
 _FIELDS = {
     "sensor_msgs/msg/JointState": "header.stamp+ header.frame_id name+ position+ velocity+ effort+",
     "foxglove.JointStates": "timestamp+ joints.name+ joints.position+ joints.velocity+ "
@@ -38,6 +43,11 @@ _FIELDS = {
     "sensor_msgs/msg/Imu": "header.stamp+ header.frame_id+ orientation+ orientation_covariance "
     "angular_velocity+ angular_velocity_covariance linear_acceleration+ "
     "linear_acceleration_covariance",
+    "unitree_go/msg/LowState": f"motor_state+ {_BOARD} imu_state foot_force foot_force_est "
+    "bit_flag adc_reel temperature_ntc1 temperature_ntc2 power_v power_a fan_frequency",
+    "unitree_hg/msg/LowState": f"motor_state+ {_BOARD} imu_state mode_pr mode_machine",
+    "unitree_go/msg/LowCmd": f"motor_cmd+ {_BOARD} led fan gpio",
+    "unitree_hg/msg/LowCmd": f"motor_cmd+ {_BOARD} mode_pr mode_machine",
     "geometry_msgs/msg/Twist": _TWIST,
     "geometry_msgs/msg/TwistStamped": "header.stamp+ header.frame_id twist."
     + _TWIST.replace(" ", " twist."),
@@ -47,6 +57,12 @@ _NO_EFFECT = {
     "header.frame_id": "a joint has no frame, and a command is meant in the robot's yaw frame",
     "joints.acceleration": "no score is of it",
     "layout.dim": "labels; the numbers are taken in the robot's order of joints",
+    "imu_state": "scores read the trunk's attitude from topics of poses",
+    **dict.fromkeys(
+        f"{_BOARD} foot_force foot_force_est bit_flag adc_reel temperature_ntc1 temperature_ntc2 "
+        "power_v power_a fan_frequency mode_pr mode_machine led fan gpio".split(),
+        "of the robot's electronics",
+    ),
 }
 FIELDS: Mapping[str, Mapping[str, str]] = {
     kind: {
@@ -64,7 +80,11 @@ _PROTOBUF: dict[str, Any] = {
     "foxglove.JointStates": JointStates,
     "foxglove.PoseInFrame": PoseInFrame,
 }
-JOINTS, IMU = ("sensor_msgs/msg/JointState", "foxglove.JointStates"), "sensor_msgs/msg/Imu"
+_LOW_STATES = ("unitree_go/msg/LowState", "unitree_hg/msg/LowState")
+_LOW_COMMANDS = ("unitree_go/msg/LowCmd", "unitree_hg/msg/LowCmd")
+JOINTS = ("sensor_msgs/msg/JointState", "foxglove.JointStates", *_LOW_STATES)
+TARGETS = (*JOINTS[:2], *_LOW_COMMANDS, "std_msgs/msg/Float64MultiArray")
+IMU = "sensor_msgs/msg/Imu"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 Values = dict[str, "list[float] | str"]
 """A reading's numbers, or why a message has none, by reading."""
@@ -163,7 +183,16 @@ def _joints(
     message: Any, kind: str, robot: RobotSpec, orders: dict[Any, Any], topic: str
 ) -> Values:
     fields = {"joint_positions": "position", "joint_rates": "velocity", "torques": "effort"}
-    if kind == "foxglove.JointStates":
+    if kind in {*_LOW_STATES, *_LOW_COMMANDS}:
+        # Motors beyond the joints are spare places; the others are counted as their maker does.
+        motors = message.motor_cmd if kind in _LOW_COMMANDS else message.motor_state
+        names, motors = motor_names(robot), motors[: len(robot.joints)]
+        tau = "tau" if kind in _LOW_COMMANDS else "tau_est"
+        columns = {
+            reading: [getattr(each, field) for each in motors]
+            for reading, field in zip(fields, ("q", "dq", tau), strict=True)
+        }
+    elif kind == "foxglove.JointStates":
         names = tuple(joint.name for joint in message.joints)
         columns = {
             reading: [getattr(each, field) for each in message.joints if each.HasField(field)]
@@ -203,7 +232,7 @@ def _order(names: Sequence[str], robot: RobotSpec, topic: str) -> list[int] | st
 def _targets(
     message: Any, kind: str, robot: RobotSpec, orders: dict[Any, Any], topic: str
 ) -> Values:
-    if kind in JOINTS:
+    if kind != "std_msgs/msg/Float64MultiArray":
         values = _joints(message, kind, robot, orders, topic)
         return {"targets": values["joint_positions"], "target_torques": values["torques"]}
     numbers, wanted = list(message.data), len(robot.joints)

@@ -34,6 +34,7 @@ from nw_sim.rollout.replaying.log_messages import (
     FIELDS,
     IMU,
     JOINTS,
+    TARGETS,
     Values,
     decoded,
     frames_of,
@@ -46,7 +47,7 @@ from nw_sim.rollout.replaying.log_messages import (
 
 _SOURCES: dict[str, tuple[tuple[str, ...], ...]] = {
     "joints": tuple((kind,) for kind in JOINTS),
-    "targets": tuple((kind,) for kind in (*JOINTS, "std_msgs/msg/Float64MultiArray")),
+    "targets": tuple((kind,) for kind in TARGETS),
     "pose": (
         ("nav_msgs/msg/Odometry",),
         ("geometry_msgs/msg/PoseStamped",),
@@ -243,7 +244,7 @@ def _fits(source: str, topic: str, kind: str) -> str:
         {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", part)}
         for part in topic.strip("/").split("/")
     )
-    if source == "targets" and kind not in JOINTS and _NO_ANGLES & set().union(*before, last):
+    if source == "targets" and kind not in TARGETS[:-1] and _NO_ANGLES & set().union(*before, last):
         return "its name says numbers that are no angles"
     told = any(map(_TOLD.match, last))
     if not told and source != "pose" and any(map(_TOLD.match, set[str]().union(*before))):
