@@ -298,6 +298,7 @@ class PlannedPolicy:
     ) -> None:
         self._bundle, self._build = bundle, build
         self._seed, self._state = 0, b""
+        self._has_acted = False
         known = files_known(bundle)
         self._unplanned: OpenPolicy | None = None if known else start()
         self._policy: Policy | None = self._built(known) if known else None
@@ -327,7 +328,7 @@ class PlannedPolicy:
 
     def reset(self, seed: int) -> None:
         """Begin a trial."""
-        self._seed, self._state = seed, b""
+        self._seed, self._state, self._has_acted = seed, b"", False
         if self._policy is not None:
             self._policy.reset(seed)
 
@@ -347,6 +348,7 @@ class PlannedPolicy:
             self._unplanned = None
             if self._state:
                 self._policy.restore(self._state)
+        self._has_acted = True
         return self._policy.act(observation)
 
     def _planned(self, unplanned: OpenPolicy, observation: Observation) -> Policy:
@@ -361,8 +363,11 @@ class PlannedPolicy:
         return self._built(files)
 
     def state(self) -> bytes:
-        """Return what it remembers; nothing before its first action."""
-        return self._state if self._policy is None else self._policy.state()
+        """Return what it remembers; nothing before its first action.
+
+        So it is the same whether the process has planned it before or not.
+        """
+        return self._policy.state() if self._policy and self._has_acted else self._state
 
     def restore(self, state: bytes) -> None:
         """Go back to a `state`.
@@ -370,7 +375,7 @@ class PlannedPolicy:
         Raises:
             TrialError: the state belongs to another policy.
         """
-        self._state = state
+        self._state, self._has_acted = state, False
         if self._policy is not None:
             self._policy.restore(state) if state else self._policy.reset(0)
 
