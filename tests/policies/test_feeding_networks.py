@@ -372,7 +372,7 @@ CHECKED = {
     "no slice": (
         lambda: linear(np.eye(16, 80)),
         "select: [all]",
-        f"{ZEROS}`encoder.a`: select: 'all' is no index or range; write 7 or 13:53",
+        f"{ZEROS}`encoder.a`: select: 'all' is not an index or range; write 7 or 13:53",
     ),
     "scales of another number": (
         lambda: linear(np.eye(12, 80)),

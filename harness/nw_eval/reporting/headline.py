@@ -302,9 +302,9 @@ _SAME = (
     "the same results, so no trial can tell the two apart."
 )
 _TAKEN_OVER = (
-    "Results that were not re-run are those of the baseline's file. Which trials were re-run was "
-    "drawn when the run began. Each of them finds a file that is wrong in a share p of its trials "
-    "with probability p; `nw-eval baseline verify` re-runs any share of them."
+    "Results that were not re-run are those of the baseline's file. The trials to re-run were "
+    "drawn when the run started. Each detects, with probability p, a file that is wrong in a share "
+    "p of its trials; `nw-eval baseline verify` re-runs any share of them."
 )
 _CURVE = (
     "What this gate does with other policies is simulated, with two kinds of them: every waypoint "

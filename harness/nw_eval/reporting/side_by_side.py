@@ -137,7 +137,7 @@ def _scores(found: PolicyComparison) -> Table:
         ),
         note="Means over the same initial states as success. In brackets what new initial states "
         f"in these scenes may give, {percent} each alone. A trial in which a score is undefined "
-        "counts as its declaration says.",
+        "counts as its definition requires.",
     )
 
 

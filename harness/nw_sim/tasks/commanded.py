@@ -126,7 +126,7 @@ def check_order(name: str, given: tuple[float, float]) -> None:
     """
     low, high = given
     if low > high:
-        raise ValueError(f"{name} {low:g} to {high:g} is no range; write the smaller number first")
+        raise ValueError(f"{name} {low:g} to {high:g} is not a range; write the smaller one first")
 
 
 class Command(TaskPart):

@@ -337,7 +337,7 @@ def test_a_baseline_that_claims_to_be_the_candidates_own_is_invalid_once_a_start
         named = r"scene hurdles/\S+ start [0-3]: (success 0\S*, the baseline's 1.0|bits \w{16}, )"
         assert re.search(named, text)
     else:
-        assert "the same bits, other results" in text
+        assert "the same actions, other results" in text
 
 
 def test_starts_that_run_again_are_drawn_when_the_run_begins_and_no_file_says_which():
@@ -680,7 +680,7 @@ def test_the_same_bits_with_other_results_make_the_run_invalid(capsys):
     out = " ".join(capsys.readouterr().out.split())
     assert "INVALID" in out
     assert "REGRESSED" not in out
-    assert "go1-parkour does: the same bits, other results" in out
+    assert "go1-parkour does: the same actions, other results" in out
     assert "the baseline's 1.0" in out
     assert not (Path("run") / "mcap" / "hurdles").exists(), "no trial of the candidate"
     assert api.report("run").exit_code == 5

@@ -56,7 +56,7 @@ def project(first_save, tmp_path, monkeypatch):
 
 
 def work():
-    (folder,) = Path("reports").glob("bank-quick-*")
+    (folder,) = Path("reports").glob("baseline-quick-*")
     return folder
 
 
@@ -89,7 +89,7 @@ def test_saving_again_runs_nothing_and_leaves_the_file_as_it_is(project):
     shutil.rmtree(work())
     saved = api.save_baseline("quick.yaml")
     assert (saved.action, file.read_bytes()) == ("unchanged", before)
-    assert not list(Path("reports").glob("bank-quick-*"))
+    assert not list(Path("reports").glob("baseline-quick-*"))
 
 
 @pytest.mark.usefixtures("project")

@@ -136,7 +136,7 @@ def test_a_result_that_was_tampered_with_is_found_and_no_result_is_believed(fill
 
 @pytest.mark.usefixtures("forged")
 def test_a_baseline_is_not_saved_of_results_that_differ(place):
-    with pytest.raises(TrialError, match=r"came out otherwise .*; remove reports/bank-tiny-"):
+    with pytest.raises(TrialError, match=r"has another result .*; remove reports/baseline-tiny-"):
         api.save_baseline("tiny.yaml", trials=1, workers=1)
     assert not (place / "reports" / "baselines").exists()
 

@@ -187,7 +187,7 @@ def test_what_does_not_fit_the_policy_is_told_at_its_line(folder):
     assert str(caught.value) == (
         f"{folder}/told.yaml:12:3: task.command: the policy cannot be told yaw: its card has no "
         "term `command`, its speed is the forward one, it turns towards waypoints; give velocity "
-        "a policy that follows velocity commands, or command only what this one is told"
+        "a policy that follows velocity commands, or give only commands that this one observes"
     )
     late = SUITE + PUSH.replace("[0.4, 0.8]", "[0.4, 1.8]")
     with pytest.raises(SuiteError, match=r"told\.yaml:12:3: task\.draw: the last push may begin"):

@@ -264,7 +264,7 @@ def test_logs_are_linked_and_what_is_not_there_is_said(logged, tmp_path):
     lost.unlink()
     short.write_bytes(LOG[:-1])
     merged = api.merge(logged, out=tmp_path / "merged")
-    assert "2 logs not there, or not of the size that its row says: " in merged.verdict.reasons[-1]
+    assert "2 logs missing, or not of the size in its row: " in merged.verdict.reasons[-1]
     logs = list(merged.folder.rglob("*.mcap"))
     assert len(logs) == 10
     assert all(log.read_bytes() == LOG and log.stat().st_nlink == 2 for log in logs)

@@ -234,13 +234,13 @@ def test_a_log_says_which_task_it_was():
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"task": "raech"}, "'raech' is no kind of task; did you mean 'reach'"),
+        ({"task": "raech"}, "'raech' is not a kind of task; did you mean 'reach'"),
         ({"task": {"kind": "reach", "ahead": "far"}}, "task.ahead: input should be a valid number"),
         ({"task": {"kind": "reach", "laps": 1}}, "task.laps: extra inputs are not permitted"),
         ({"task": {"kind": "course", "laps": 2}}, "Extra inputs are not permitted"),
         ({"task": 7}, "valid dictionary"),
-        ({"scores": ("max_tlit",)}, "'max_tlit' is no score; did you mean 'max_tilt'"),
-        ({"gate": {"scores": {"max_tlit": {"bar": 1.0}}}}, "'max_tlit' is no score"),
+        ({"scores": ("max_tlit",)}, "'max_tlit' is not a score; did you mean 'max_tilt'"),
+        ({"gate": {"scores": {"max_tlit": {"bar": 1.0}}}}, "'max_tlit' is not a score"),
         ({"gate": {"scores": {"max_tilt": {"bar": 9.0}}}}, "bar 9 is not between 0 and 3.2"),
     ],
 )

@@ -43,7 +43,7 @@ def test_a_suite_without_a_gate_passes_once_its_trials_have_run_and_shows_nothin
             "tiny.yaml: RAN *",
             (
                 "SKIPPED [[]1] tiny.yaml:8: not judged: success 0.000, completed 0 of 1 trial; "
-                "the verdict is RAN, which says only that the trials ran"
+                "the verdict is RAN, which means only that the trials ran"
             ),
         ]
     )

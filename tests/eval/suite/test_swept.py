@@ -26,8 +26,8 @@ def test_ranges_and_lists_are_values(words, values):
     ("words", "message"),
     [
         ("frction=0..1", "there is no axis 'frction'"),
-        ("friction", "'' is no range of values"),
-        ("friction=a..b", "'a..b' is no range of values"),
+        ("friction", "'' is not a range of values"),
+        ("friction=a..b", "'a..b' is not a range of values"),
         ("friction=0.3..1.2:1", "has 1 step;"),
         ("friction=0.3..1.2:999", "has 999 steps"),
         ("friction=0.5", "has one value"),

@@ -268,7 +268,7 @@ def test_the_same_bits_with_another_result_contradict_a_baseline_and_other_bits_
     )
     told = contradictions(control.rows, baseline, replace(baseline.panels[0], starts=starts))
     assert told[0] == (
-        "the baseline is not what its own policy go1-act-rgb does: the same bits, other results"
+        "the baseline is not what its own policy go1-act-rgb does: the same actions, other results"
     )
     assert told[1].startswith(f"scene {first.scene} start {first.seed_index}: success 0.5, ")
     assert len(told) == 2

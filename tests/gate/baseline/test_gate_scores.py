@@ -213,7 +213,7 @@ def test_errors_of_regressed_are_split_over_all_that_is_gated():
 @pytest.mark.parametrize(
     ("scores", "said"),
     [
-        ({"cost": {"bar": 1.0}}, "'cost' is no score; known: action_acceleration"),
+        ({"cost": {"bar": 1.0}}, "'cost' is not a score; known: action_acceleration"),
         ({"success": {"bar": 0.5}}, "success is judged by success_rate and max_drop"),
         ({"mean_power": {}}, "neither bar nor max_drop is set"),
         ({"mean_power": {"bar": 5000.0}}, "mean_power: bar 5000 is not between 0 and 1000"),

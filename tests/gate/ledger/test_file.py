@@ -166,7 +166,7 @@ def test_three_hundred_kinds_of_damage_are_never_read_as_other_verdicts(ledger, 
 @pytest.mark.parametrize(
     ("record", "sentence"),
     [
-        ({"row": {}}, "is no ledger"),
+        ({"row": {}}, "is not a ledger"),
         ({"ledger": 2}, "a ledger of version 2, this nw-eval reads 1"),
         (["ledger"], "damaged"),
     ],

@@ -69,9 +69,9 @@ def test_a_field_that_says_nothing_or_came_later_without_a_default_is_no_column(
     class Late:
         steps: Annotated[int, Column("control steps done", added=True)]
 
-    with pytest.raises(TypeError, match="steps of Silent says nothing about its column"):
+    with pytest.raises(TypeError, match="steps of Silent does not describe its column"):
         columns_of(Silent)
-    with pytest.raises(TypeError, match="steps of Late came later, and needs a default"):
+    with pytest.raises(TypeError, match="steps of Late was added later and needs a default"):
         columns_of(Late)
 
 

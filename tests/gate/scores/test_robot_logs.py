@@ -638,7 +638,7 @@ def test_a_measured_twist_and_a_goal_are_no_command_and_no_pose(tmp_path):
         entries.append((time, "/tf", TF, {"nothing": 1}))
     found = scores(write(tmp_path / "log.mcap", entries))
     assert dict(found.topics) == {"joints": "/joint_states"}
-    assert found.unused["/goal_pose"] == "its name says where the robot is to go"
+    assert found.unused["/goal_pose"] == "its name means the robot's goal"
     assert found.unused["/base_velocity"] == "its name does not say a command"
     assert found.unused["/tf"] == "tf2_msgs/msg/TFMessage is not read"
 

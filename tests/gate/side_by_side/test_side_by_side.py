@@ -262,7 +262,7 @@ def test_a_score_that_a_run_lacks_and_a_number_that_is_none_are_named(tmp_path):
     real = tmp_path / "real.csv"
     real.write_text("policy,scene,trials,mean_power\ngood,hurdles/low,10,much\n")
     spec = specs_of(["mean_power"])["mean_power"]
-    with pytest.raises(UsageError, match="mean_power 'much' is no number"):
+    with pytest.raises(UsageError, match="mean_power 'much' is not a number"):
         read_real_results(real, spec)
     with pytest.raises(UsageError, match="lacks the column foot_slip"):
         read_real_results(real, specs_of(["foot_slip"])["foot_slip"])

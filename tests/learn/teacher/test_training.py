@@ -124,7 +124,7 @@ def test_a_state_that_lacks_a_part_is_an_error_on_one_line(whole, tmp_path):
     state = read_state(tmp_path / "run" / "state.pt")
     del state["episodes"]["trails"]
     torch.save(state, tmp_path / "run" / "state.pt")
-    with pytest.raises(StoreError, match="is no state of this training: KeyError"):
+    with pytest.raises(StoreError, match="is not a state of this training: KeyError"):
         resume_teacher(tmp_path / "run", say=quiet)
 
 

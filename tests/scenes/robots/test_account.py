@@ -412,7 +412,7 @@ def test_what_only_xacro_reads_is_no_urdf_yet(tmp_path):
 
 def test_a_shape_that_urdf_has_not_is_named(tmp_path):
     text = URDF.replace('<sphere radius="0.04"/>', '<cone radius="0.04"/>')
-    assert "<cone> is no shape of a URDF; use one of box, sphere, cylinder, capsule, mesh" in told(
+    assert "<cone> is not a URDF shape; use one of box, sphere, cylinder, capsule, mesh" in told(
         tmp_path, text
     )
 

@@ -348,7 +348,7 @@ def test_a_urdf_gets_a_free_joint(tmp_path):
         ("published: {body: [hul]}", "robot.yaml:4:20: published.body: no body 'hul'; did you"),
         (
             "cameras: {a: {position: [0, 0, 0], rotation: [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}",
-            "robot.yaml:4:36: cameras.a.rotation: it is no rotation",
+            "robot.yaml:4:36: cameras.a.rotation: it is not a rotation",
         ),
         ("feets: [toe_l]", "robot.yaml:4:1: unknown key 'feets'; did you mean 'feet'?"),
         ("fell: {tilt: -1}", "robot.yaml:4:8: fell.tilt"),

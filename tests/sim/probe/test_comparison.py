@@ -50,7 +50,7 @@ def test_what_trials_do_not_command_is_a_note_if_no_card_mends_it(compared, obey
     assert [kind for kind, _ in findings] == ["note"] * 3
     assert "to the left, 0.20 m/s reached (40%)" in findings[0][1]
     assert findings[2][1] == (
-        f"none of the changes tried helps: {TRIED}; none comes nearer than the card as it is"
+        f"none of the changes tried helps: {TRIED}; none is better than the card"
     )
 
 

@@ -165,7 +165,7 @@ def test_the_unit_of_a_file_and_the_height_of_its_rooms_are_compared_with_what_i
     assert "a ceiling is 0.7" in "\n".join(feet.lines)
     (tmp_path / "b.obj").write_text("# units: m\n" + (tmp_path / "b.obj").read_text())
     told = import_scan(tmp_path / "b.obj", tmp_path / "told", ScanOptions(unit="ft"))
-    assert "the file says that its unit is m, and it is read as ft" in "\n".join(told.lines)
+    assert "the file gives its unit as m, and it is read as ft" in "\n".join(told.lines)
 
 
 def test_a_room_is_known_by_its_ceiling_and_what_stands_in_it(tmp_path):

@@ -334,7 +334,7 @@ def test_ground_that_no_photograph_shows_is_no_way():
 def test_a_trail_is_no_longer_than_a_robot_walks_in_a_trial():
     proposal = propose_course(GROUND, walk(20.0))
     assert proposal.trail[-1][0] == pytest.approx(8.0, abs=0.05)
-    assert "the way goes on for 20.0 m: the course is 8 m long at most" in proposal.warnings[0]
+    assert "the way continues for 20.0 m: the course is 8 m long at most" in proposal.warnings[0]
 
 
 def test_a_way_that_bends_has_a_waypoint_in_the_bend():

@@ -181,7 +181,7 @@ def _facts(shown: ShownBaseline) -> Iterator[str]:
     yield f"file       {clean(shown.file)}"
     yield f"suite      {clean(manifest.suite)}"
     if manifest.held_out:
-        yield "starts     of a seed set of its own, which took no part in choosing the policy"
+        yield "seed set   held out: it was not used to choose the policy"
     yield f"policy     {clean(policy.name)} ({clean(digests)})"
     yield f"starts     {manifest.starts} in each of {plural(len(manifest.key.scenes), 'scene')}"
     yield f"mean       {baseline_mean(baseline):.3f}"

@@ -132,7 +132,7 @@ def test_a_baseline_of_sixteen_scenes_and_sixty_starts_is_small_enough_for_git(
         (lambda _, manifest: manifest.update(starts="many"), "manifest.starts: "),
         (lambda _, manifest: manifest.update(name="other"), "calls it other, its file is shipped"),
         (lambda _, manifest: manifest.update(name="../a"), "'../a' is no name"),
-        (lambda _, manifest: manifest.update(note="\x1b[2J"), "is no plain line"),
+        (lambda _, manifest: manifest.update(note="\x1b[2J"), "is not a plain line"),
         (lambda _, manifest: manifest["panels"].append(manifest["panels"][0]), "one class of mach"),
         (
             lambda _, manifest: manifest.update(bank=2),
@@ -181,7 +181,7 @@ def test_the_rows_of_a_run_are_no_baseline_and_neither_is_anybodys_table(tmp_pat
     write_rows(rows, [make_row()], {})
     pq.write_table(pa.table({"x": [1]}), foreign)
     for path in (rows, foreign):
-        with pytest.raises(IncomparableError, match="is no baseline; save one from a run"):
+        with pytest.raises(IncomparableError, match="is not a baseline file; save one from a run"):
             reread(path)
 
 

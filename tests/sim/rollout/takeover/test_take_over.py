@@ -153,7 +153,7 @@ def test_numbers_of_a_log_that_are_none_are_refused(walked, library, monkeypatch
             yield topic, time, message
 
     monkeypatch.setattr(LogReader, "messages", without_one)
-    with pytest.raises(StoreError, match="does not say what was applied in control step 3"):
+    with pytest.raises(StoreError, match="does not record what was applied in control step 3"):
         take_over(walked[0], start=0.5, library=library)
 
 
