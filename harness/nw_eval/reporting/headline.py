@@ -65,12 +65,15 @@ def next_step(verdict: Verdict, run: RunInfo) -> str:
     if run.is_search:
         return ""
     if run.is_part:
-        return "put all parts together with `nw-eval merge RUN... --out FOLDER`"
+        return "merge all shards with `nw-eval merge RUN... --out FOLDER`"
+    if verdict.verdict == "PASS" and verdict.against and verdict.against.basis == "same":
+        return "`nw-eval run SUITE --policy POLICY` compares the next checkpoint with this baseline"
     return _NEXT.get(verdict.verdict, "")
 
 
 _NEXT: Mapping[Word, str] = {
     "PASS": "`nw-eval baseline save` makes this policy the baseline of later runs",
+    "REGRESSED": "look at the worst trials",
     "RAN": "set `gate.success_rate` in the suite to get a verdict",
     "INCONCLUSIVE": "run more trials with `nw-eval run --resume RUN --trials N`",
     "INFRASTRUCTURE": "run the missing trials with `nw-eval run --resume RUN`",
@@ -80,9 +83,9 @@ _NEXT: Mapping[Word, str] = {
 def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     """Return what the bounds apply to, and what a gate against a baseline finds, on a line."""
     if run.is_part:
-        return "A part of a run speaks for nothing but its own trials."
+        return "These are the trials of one shard only."
     if run.is_search:
-        return "The trials of a search speak for its limit, not for success in these scenes."
+        return "These trials were chosen to find a limit; they do not measure success in these scenes."
     if verdict.success is None:
         return "No trial has a result, so nothing can be said."
     sentence = "The bounds apply to new initial states in these scenes."
