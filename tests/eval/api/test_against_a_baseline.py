@@ -868,7 +868,7 @@ def test_parts_of_machines_with_different_bits_and_parts_without_their_control_a
     # Some bits of the baseline's policy are as elsewhere, and those of one machine are not.
     sha256 = two.info.baseline.sha256
     mixed = saved(alike, "mixed", sha256=sha256)
-    with pytest.raises(IncomparableError, match=r"^not of one run: the baseline's policy repeats"):
+    with pytest.raises(IncomparableError, match=r"^not of one run: the baseline's policy repro"):
         api.merge([mixed, two.folder], out="merged")
     early = saved(one, "early", checked=None)
     with pytest.raises(IncomparableError, match=r"early \(part 1 of 2\) ended before the baseline"):

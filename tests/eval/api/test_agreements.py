@@ -142,8 +142,8 @@ def test_the_terminal_has_the_figures_beside_a_perfect_simulators(baselines, tmp
         ("policy,scene,success\n", "lacks the column trials; write a heading"),
         (HEADING, "has no results"),
         ("", "lacks the column policy"),
-        (HEADING + "p0,hurdles/a,0,0.5\n", r"real\.csv:2:1: trials '0' is no whole number"),
-        (HEADING + "p0,hurdles/a,ten,0.5\n", "trials 'ten' is no whole number"),
+        (HEADING + "p0,hurdles/a,0,0.5\n", r"real\.csv:2:1: trials '0' is not a whole number"),
+        (HEADING + "p0,hurdles/a,ten,0.5\n", "trials 'ten' is not a whole number"),
         (HEADING + "p0,hurdles/a,10,nan\n", "success 'nan' is not between 0 and 1"),
         (HEADING + "p0,hurdles/a,10,75\n", "success '75' is not between 0 and 1"),
         (HEADING + "p0,hurdles/a,10\n", "success '' is not between 0 and 1"),
@@ -152,10 +152,10 @@ def test_the_terminal_has_the_figures_beside_a_perfect_simulators(baselines, tmp
         (HEADING + "q,hurdles/a,10,1\n", r"csv:2: policy 'q' is that of no run; known: p0, "),
         (HEADING + "walker,hurdles/a,10,1\n", r"policy 'walker' may be .*p0.* or .*p1"),
         (HEADING + "p0,hurdles/c,10,1\n", r"p0\.parquet has no result in scene 'hurdles/c'; did"),
-        (HEADING + 'p0,"hurdles/a,10,1\n', "is no CSV"),
+        (HEADING + 'p0,"hurdles/a,10,1\n', "is not a CSV"),
         (HEADING + "p0,hurdles/a,10,0,8\n", r"csv has more cells in line 2 than in its heading"),
-        (HEADING + "p0,hurdles/a,10.5,0.8\n", r"trials '10\.5' is no whole number"),
-        (HEADING.replace(",", ";") + "p0;hurdles/a;1.000;0,8\n", r"trials '1\.000' is no whole"),
+        (HEADING + "p0,hurdles/a,10.5,0.8\n", r"trials '10\.5' is not a whole number"),
+        (HEADING.replace(",", ";") + "p0;hurdles/a;1.000;0,8\n", r"trials '1\.000' is not a whole"),
         ("policy,scene,trials,success,Success\n", "has success twice"),
     ],
 )
@@ -167,7 +167,7 @@ def test_a_csv_that_cannot_be_used_is_named_with_its_line(baselines, tmp_path, t
 def test_a_csv_that_is_none_and_runs_that_are_none_are_usage(baselines, tmp_path):
     with pytest.raises(UsageError, match=r"cannot read .*nowhere"):
         nw_eval.sim2real(tmp_path / "nowhere.csv", baselines)
-    with pytest.raises(UsageError, match="is no CSV"):
+    with pytest.raises(UsageError, match="is not a CSV"):
         nw_eval.sim2real(baselines[0], baselines)
     with pytest.raises(UsageError, match="no run to compare the robot with"):
         nw_eval.sim2real(csv(tmp_path, HEADING), [])

@@ -275,7 +275,7 @@ def test_two_baselines_are_compared_scene_by_scene(capsys):
     ("options", "sentence"),
     [
         ({"run": "there", "trials": 3}, "--run and --trials: the run has decided that"),
-        ({"name": "a/b"}, "a baseline's name: 'a/b' is no name"),
+        ({"name": "a/b"}, "a baseline's name: 'a/b' is not a name"),
         ({"trials": 0}, "--trials 0 is too low; give at least 1"),
         ({"run": "nowhere"}, "nowhere is not the folder of a run"),
     ],

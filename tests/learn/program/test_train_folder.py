@@ -49,7 +49,7 @@ def test_a_state_with_code_in_it_is_refused_and_runs_nothing(folder, tmp_path):
 
     for is_zip in (True, False):
         torch.save({"a": Bomb()}, folder.state, _use_new_zipfile_serialization=is_zip)
-        with pytest.raises(StoreError, match="is no state"):
+        with pytest.raises(StoreError, match="is not a training state"):
             folder.load_state()
         assert not (tmp_path / "ran").exists()
 

@@ -758,7 +758,7 @@ def test_a_folder_of_a_training_gives_its_newest_step(tmp_path):
 
 
 def test_a_folder_without_a_checkpoint_is_said(tmp_path):
-    with pytest.raises(PolicyError, match=r"no checkpoint lies in it.*pt"):
+    with pytest.raises(PolicyError, match=r"no checkpoint is in it.*pt"):
         init_policy(tmp_path, robot="go2")
 
 

@@ -393,7 +393,7 @@ def test_what_robot_yaml_says_wrongly_is_told_with_its_place(tmp_path, line, sai
         (
             '<joint name="toe_l" axis',
             '<joint name="toe_l" type="slide" axis',
-            "'toe_l' is no hinge",
+            "'toe_l' is not a hinge",
         ),
         ('mass="5"', 'mass="-5"', "MuJoCo cannot"),
         ('size="0.03" mass="0.2"', 'size="nan" mass="0.2"', "<geom> has size='nan'"),
