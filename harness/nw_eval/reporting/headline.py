@@ -85,7 +85,9 @@ def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     if run.is_part:
         return "These are the trials of one shard only."
     if run.is_search:
-        return "These trials were chosen to find a limit; they do not measure success in these scenes."
+        return (
+            "These trials were chosen to find a limit; they do not measure success in these scenes."
+        )
     if verdict.success is None:
         return "No trial has a result, so nothing can be said."
     sentence = "The bounds apply to new initial states in these scenes."

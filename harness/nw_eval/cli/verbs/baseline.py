@@ -183,7 +183,8 @@ def _facts(shown: ShownBaseline) -> Iterator[str]:
     if manifest.held_out:
         yield "seed set   held out: it was not used to choose the policy"
     yield f"policy     {clean(policy.name)} ({clean(digests)})"
-    yield f"states     {manifest.starts} initial states in each of {plural(len(manifest.key.scenes), 'scene')}"
+    scenes = plural(len(manifest.key.scenes), "scene")
+    yield f"states     {manifest.starts} initial states in each of {scenes}"
     yield f"mean       {baseline_mean(baseline):.3f}"
     yield f"seed       {manifest.key.seed}, protocol {clean(manifest.key.protocol)}"
     yield f"simulator  {clean(simulator)}"
@@ -376,7 +377,9 @@ def _saved(saved: SavedBaseline) -> Iterator[str]:
     from nw_gate.results.baseline import baseline_mean
 
     manifest = saved.baseline.manifest
-    size = f"{plural(len(manifest.key.scenes), 'scene')} x {plural(manifest.starts, 'initial state')}"
+    size = (
+        f"{plural(len(manifest.key.scenes), 'scene')} x {plural(manifest.starts, 'initial state')}"
+    )
     whole = f"{size}, mean success {baseline_mean(saved.baseline):.3f}"
     if saved.change is not None and saved.action != "unchanged":
         yield change_page(saved.change)
