@@ -337,9 +337,9 @@ def _errors(found: Comparison) -> str:
         f"interval (lower end {false_alarm}, upper end {false_pass}). Success and drop are "
         "estimates at a stop that the results chose, which biases the drop away from zero; the "
         "bounds have no such bias. All tests of this gate "
-        f"together report REGRESSED of a policy that is good enough (above the bar, dropped by "
-        f"{found.tolerate:g} at most, in no scene by more than {found.scene_drop:g}) with "
-        f"probability at most {_percent(found.false_alarm)}. The verdict is on this checkpoint, "
+        f"together report REGRESSED with probability at most {_percent(found.false_alarm)} for a "
+        f"policy that is good enough: above the bar, dropped by at most {found.tolerate:g}, in no "
+        f"scene by more than {found.scene_drop:g}. The verdict is on this checkpoint, "
         "not on its training recipe: another seed of the same recipe may score otherwise."
     )
 
@@ -372,10 +372,10 @@ def _claim(found: Comparison) -> str:
     )
     return (
         f"The claim is of new initial states in these scenes: {how}. The drop compares each trial "
-        "with the baseline's mean in its scene, so that the baseline's success in the headline is "
-        "of the scenes that these trials met, some of them easy and some hard by chance. The "
-        "baseline's mean is taken for exact; with 30 or more initial states a scene that adds at "
-        "most 0.9 percentage points to either error (simulated)."
+        "with the baseline's mean in its scene. The baseline's success in the headline is "
+        "therefore that of the scenes of these trials, some easy and some hard by chance. The "
+        "baseline's mean is taken as exact; with 30 or more initial states per scene, that adds "
+        "at most 0.9 percentage points to either error (simulated)."
     )
 
 
