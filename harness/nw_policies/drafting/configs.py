@@ -399,7 +399,12 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
     }
     clip = data.number("clip_actions")
     steps = int(data.number("frame_stack", "history_length") or 1)
-    size, notes = data.number("num_single_obs", "obs_size_single", "num_obs"), ()
+    size, whole, notes = (
+        data.number("num_single_obs", "obs_size_single"),
+        data.number("num_obs"),
+        (),
+    )
+    size = whole if size is None else size
     if size in {steps * (9 + 3 * joints), steps * (11 + 3 * joints)}:
         size /= steps  # Some count all frames.
     term = ExportedTerm(
