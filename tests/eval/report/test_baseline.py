@@ -100,7 +100,7 @@ def test_scenes_are_shown_side_by_side_what_fell_first_and_what_does_not_count_l
         ({"claim": "panel", "starts": 40}, "the claim is of these only"),
         ({"basis": "control"}, "its policy ran beside the candidate, from the same initial states"),
         ({"basis": "fresh"}, "the candidate met new ones, and the baseline's mean is of 60"),
-        ({}, "of the scenes that these trials met, some of them easy and some hard by chance"),
+        ({}, "that of the scenes of these trials, some easy and some hard by chance"),
     ],
 )  # fmt: skip
 def test_every_report_says_of_which_starts_it_speaks(page, changes, words, found):
@@ -109,7 +109,7 @@ def test_every_report_says_of_which_starts_it_speaks(page, changes, words, found
     assert (
         "A drop of 0.1 or more against the baseline passes with probability at most 5 %" in how_sure
     )
-    assert "in no scene by more than 0.1) with probability at most 7 %" in how_sure
+    assert "dropped by at most 0.02, in no scene by more than 0.1." in how_sure
     assert "The verdict is on this checkpoint, not on its training recipe" in how_sure
 
 
