@@ -187,7 +187,7 @@ def test_one_worker_and_two_end_with_the_same_rows_and_the_same_verdict():
     assert more.verdict.against.trials == one.verdict.against.trials
 
 
-def test_a_run_that_was_interrupted_goes_on_and_ends_with_the_same_trial():
+def test_a_run_that_was_interrupted_continues_and_ends_with_the_same_trial():
     whole = against("whole-run")
     cut = against("cut", ears=Ears(trials=1))
     assert (cut.interrupted, cut.info.stop) == (True, None)
@@ -219,7 +219,7 @@ def test_what_a_drop_is_due_to_is_found_in_the_very_trials_of_the_run():
         api.run(resume=first.out / "old-control-old-sight" / "run")
 
 
-def test_a_run_that_was_killed_goes_on_elsewhere_without_the_baseline_and_ends_with_the_same_trial(
+def test_a_killed_run_continues_elsewhere_without_the_baseline_and_ends_with_the_same_trial(
     project, tmp_path, monkeypatch
 ):
     whole = against("whole-run")
@@ -577,7 +577,7 @@ def test_a_baseline_that_claims_too_much_of_a_machine_with_other_bits_convicts_n
     )
 
 
-def test_ctrl_c_while_the_baseline_s_policy_runs_leaves_a_run_that_goes_on(monkeypatch):
+def test_ctrl_c_while_the_baseline_s_policy_runs_leaves_a_run_that_continues(monkeypatch):
     forged(elsewhere)
     with monkeypatch.context() as patch:
         patch.setattr(Attempts, "settle", lambda *_: os.kill(os.getpid(), signal.SIGINT))
@@ -590,7 +590,7 @@ def test_ctrl_c_while_the_baseline_s_policy_runs_leaves_a_run_that_goes_on(monke
 
 
 @pytest.mark.nightly
-def test_ctrl_c_while_more_of_the_control_runs_stops_both_and_both_go_on():
+def test_ctrl_c_while_more_of_the_control_runs_stops_both_and_both_continue():
     # More pairs than run of the control at first, and so sure a gate that all of them are needed.
     Path("quick.yaml").write_text(
         SUITE.replace("trials: 4", "trials: 12")
@@ -649,7 +649,7 @@ def test_on_a_machine_type_that_the_baseline_has_not_seen_its_own_policy_runs_an
         assert "its trials are compared with the baseline's like those of a new policy" in said
 
 
-def test_a_small_baseline_is_no_measure_of_a_machine_with_other_bits_and_the_run_is_invalid():
+def test_a_small_baseline_cannot_check_a_machine_with_other_results_and_the_run_is_invalid():
     Path("quick.yaml").write_text(SUITE.replace(" least_starts: 1,", ""))
     forged(lambda baseline: elsewhere(other_ways(baseline)))
     judged = against(policy=None)

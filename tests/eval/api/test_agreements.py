@@ -164,7 +164,7 @@ def test_a_csv_that_cannot_be_used_is_named_with_its_line(baselines, tmp_path, t
         nw_eval.sim2real(csv(tmp_path, text), baselines)
 
 
-def test_a_csv_that_is_none_and_runs_that_are_none_are_usage(baselines, tmp_path):
+def test_an_invalid_csv_and_invalid_runs_are_usage_errors(baselines, tmp_path):
     with pytest.raises(UsageError, match=r"cannot read .*nowhere"):
         nw_eval.sim2real(tmp_path / "nowhere.csv", baselines)
     with pytest.raises(UsageError, match="is not a CSV"):
@@ -321,7 +321,7 @@ def test_limits_are_not_mixed_with_runs_scores_or_each_other(limits, baselines, 
         ('{"nw-limits": 1, "limits": [{"policy": "p", "ladder": "b"}]}', "lacks 'limit'"),
     ],
 )
-def test_damaged_limits_are_named_with_what_makes_them_anew(limits, tmp_path, text, message):
+def test_damaged_limits_are_named_with_how_to_renew_them(limits, tmp_path, text, message):
     (limits / "limits.json").write_text(text, encoding="utf-8")
     real = csv(tmp_path, "policy,ladder,limit\np1,bars,0.2\n")
     with pytest.raises(StoreError, match=message):

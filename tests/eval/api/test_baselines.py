@@ -93,7 +93,7 @@ def test_saving_again_runs_nothing_and_leaves_the_file_as_it_is(project):
 
 
 @pytest.mark.usefixtures("project")
-def test_a_save_that_was_interrupted_goes_on_where_it_was_and_saves_the_same_baseline():
+def test_a_save_that_was_interrupted_continues_where_it_was_and_saves_the_same_baseline():
     class Impatient(NullListener):
         def trial(self, row):  # noqa: ARG002  # The first one is enough.
             os.kill(os.getpid(), signal.SIGINT)
@@ -114,7 +114,7 @@ def test_a_save_that_was_interrupted_goes_on_where_it_was_and_saves_the_same_bas
 
 
 @pytest.mark.usefixtures("project")
-def test_a_save_says_how_long_it_takes_and_after_ctrl_c_goes_on_with_the_same_command(
+def test_a_save_says_how_long_it_takes_and_after_ctrl_c_continues_with_the_same_command(
     capsys, monkeypatch
 ):
     file = Path("reports/baselines/quick/stand.parquet")

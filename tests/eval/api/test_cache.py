@@ -285,7 +285,7 @@ def test_a_cache_of_no_size_keeps_nothing(place, monkeypatch):
     assert known.info.off == "NW_EVAL_CACHE_GB=0"
 
 
-def test_a_size_that_is_none_is_refused_before_anything_is_written(place, monkeypatch):
+def test_an_invalid_size_is_refused_before_anything_is_written(place, monkeypatch):
     monkeypatch.setenv("NW_EVAL_CACHE_GB", "much")
     with pytest.raises(UsageError, match="NW_EVAL_CACHE_GB is 'much'; give a size in GB"):
         api.run("tiny.yaml", out=place / "unbegun")

@@ -180,7 +180,7 @@ def test_a_report_of_a_task_without_waypoints_speaks_of_none(folder):
     assert "The log of" not in html
 
 
-def test_what_does_not_fit_the_policy_is_told_at_its_line(folder):
+def test_what_does_not_fit_the_policy_is_reported_at_its_line(folder):
     text = SUITE.replace("stand", "go1-parkour") + VELOCITY
     with pytest.raises(SuiteError) as caught:
         ran(folder, text)
@@ -204,7 +204,7 @@ def test_what_does_not_fit_the_policy_is_told_at_its_line(folder):
         ("kind: push\n  impulses: [{at: 1, size: no}]", "12:22: task.impulses.0.size: "),
     ],
 )
-def test_a_mistake_is_told_with_line_and_column(folder, wrong, said):
+def test_a_mistake_is_reported_with_line_and_column(folder, wrong, said):
     path = folder / "told.yaml"
     path.write_text(f"{SUITE}task:\n  {wrong}\n")
     with pytest.raises(SuiteError) as caught:

@@ -338,7 +338,7 @@ def test_a_damaged_part_is_one_line_or_does_no_harm(name, count, parts, tmp_path
             assert api.merge(parts, out=tmp_path / f"merged-{number}").rows == whole.rows
 
 
-def test_a_folder_that_is_none_or_lies_about_its_plan_is_one_line(parts, written, tmp_path):
+def test_an_invalid_folder_or_a_false_plan_is_one_line(parts, written, tmp_path):
     (tmp_path / "empty").mkdir()
     for folder in (tmp_path / "empty", tmp_path / "nowhere"):
         with pytest.raises(UsageError, match="is not the folder of a run"):

@@ -67,7 +67,7 @@ def test_real_parts_merge_to_the_rows_and_logs_of_the_run(project, monkeypatch):
     assert (more.info.shard, len(more.rows)) == (None, 6)
 
 
-def test_a_part_that_was_cut_short_goes_on_as_the_part_that_it_was(
+def test_a_part_that_was_cut_short_continues_as_the_part_that_it_was(
     project, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)

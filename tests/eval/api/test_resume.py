@@ -173,7 +173,7 @@ def test_a_run_by_another_runtime_is_not_resumed_on_another_kind_of_processor(pr
         ),
     ],
 )
-def test_a_run_is_not_resumed_to_be_judged_by_other_rules_than_it_was_begun_with(
+def test_a_run_is_not_resumed_to_be_judged_by_other_rules_than_it_was_started_with(
     project, gate, said
 ):
     api.run("quick.yaml", out=project / "run", trials=1)

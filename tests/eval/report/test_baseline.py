@@ -103,7 +103,7 @@ def test_scenes_are_shown_side_by_side_what_fell_first_and_what_does_not_count_l
         ({}, "that of the scenes of these trials, some easy and some hard by chance"),
     ],
 )  # fmt: skip
-def test_every_report_says_of_which_starts_it_speaks(page, changes, words, found):
+def test_every_report_names_its_initial_states(page, changes, words, found):
     how_sure = page(replace(found, **changes)).split("## How sure")[1]
     assert words in how_sure.replace("\\", "")
     assert (
@@ -216,7 +216,7 @@ def test_a_worst_trial_says_what_the_baseline_s_policy_did_from_the_same_start(m
     assert "baseline" not in worst_table([fell], Path("x")).columns
 
 
-def test_a_scene_of_which_some_trials_were_compared_says_of_how_many_the_change_is(make_row, found):
+def test_a_partly_compared_scene_names_the_trials_of_its_change(make_row, found):
     rows = [make_row("hurdles/three_low", index, 2) for index in range(8)]
     verdict = judge(rows, Gate(), {"hurdles/three_low": 8}, against=found)
     shown = scenes_table(replace(verdict, against=found))

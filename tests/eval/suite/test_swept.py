@@ -37,7 +37,7 @@ def test_ranges_and_lists_are_values(words, values):
         ("latency=1e999,1", "inf: input should be"),
     ],
 )
-def test_what_is_no_axis_is_refused_with_what_to_write(words, message):
+def test_an_invalid_axis_is_refused_with_an_example(words, message):
     with pytest.raises(UsageError) as caught:
         SweptAxis.of(words)
     assert message in str(caught.value)

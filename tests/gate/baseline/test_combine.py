@@ -383,7 +383,7 @@ def test_an_open_run_says_about_how_many_more_trials_would_settle_it(
     )
 
 
-def test_a_run_whose_control_has_not_begun_misses_trials_and_is_not_refused(
+def test_a_run_whose_control_has_not_started_misses_trials_and_is_not_refused(
     make_run, make_baseline, make_against
 ):
     there = make_run(["a"], 20, drawn_from=60)

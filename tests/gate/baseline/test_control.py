@@ -172,7 +172,7 @@ FOG = {
 IN_VIEW = GATE.model_copy(update={"validity": Validity(distance=0.5, at_most=0.2)})
 
 
-def test_a_trial_that_left_the_captured_volume_is_no_pair(run, beside, drawn_rows):
+def test_a_trial_that_left_the_captured_volume_is_not_a_pair(run, beside, drawn_rows):
     gate = IN_VIEW
     rows = drawn_rows(run, PERFECT)
     gone = [replace(rows[0], **FOG), *rows[1:]]

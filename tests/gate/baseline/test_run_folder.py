@@ -162,7 +162,7 @@ def test_the_baseline_that_a_suite_names_is_the_default(make_run, make_baseline,
     assert api.report(folder).verdict.against is None
 
 
-def test_a_report_shows_the_verdict_against_the_baseline_that_the_run_was_begun_with(
+def test_a_report_shows_the_verdict_against_the_baseline_that_the_run_was_started_with(
     run, baseline, drawn_rows, make_baseline
 ):
     keep(baseline)

@@ -60,7 +60,7 @@ def test_wall_times_are_measured_and_no_simulated_time_is():
     assert not MEASURED & OF_THE_PLAN
 
 
-def test_a_field_that_says_nothing_or_came_later_without_a_default_is_no_column():
+def test_a_field_that_says_nothing_or_came_later_without_a_default_is_not_a_column():
     @dataclass
     class Silent:
         steps: int

@@ -116,7 +116,7 @@ def test_each_reading_is_in_its_unit(reading, readings, value):
         assert score.value(END) == kept
 
 
-def test_a_trial_that_is_continued_goes_on_counting():
+def test_a_resumed_trial_keeps_counting():
     torques = np.full((20, 4, 3), 25.0)
     whole = opened(reading="torque", at_most=20.0, longer_than=0.5)
     whole.update(Stretch(FIGURES, torques=torques))
@@ -203,7 +203,7 @@ def test_a_file_that_no_worker_could_use_is_refused_before_anything_runs(tmp_pat
 
 
 @pytest.mark.parametrize("leaving", ["raise SystemExit(3)", "import os; os._exit(3)"])
-def test_a_function_that_leaves_the_process_is_no_failure_of_the_policy(tmp_path, leaving):
+def test_a_function_that_leaves_the_process_is_not_a_failure_of_the_policy(tmp_path, leaving):
     (tmp_path / "smooth.py").write_text(f"def jerk(torques):\n    {leaving}\n")
     own = OwnScore.model_validate(OWN)
     score = score_class(own_text(own, tmp_path), allow_code=True)(FIGURES)
@@ -378,7 +378,7 @@ def test_a_reading_that_is_not_a_number_keeps_no_bound_and_one_that_was_not_take
         ((0.0, -0.0), "is empty"),
     ],
 )
-def test_a_range_that_is_no_number_wide_is_refused(ends, said):
+def test_a_range_of_invalid_width_is_refused(ends, said):
     with pytest.raises(ValidationError, match=said):
         new_suite({**SUITE, "scores": ({**OWN, "range": ends},)})
     with pytest.raises(ValidationError, match=said):

@@ -551,7 +551,7 @@ def test_how_long_a_command_is_held_is_said(tmp_path, first, last, said):
     ("child", "noise", "said"),
     [("base_link", 1e-7, "never change"), ("base_link", 0.1, ""), ("camera_link", 0.1, "mounting")],
 )
-def test_whose_attitude_it_is_and_whether_it_is_rounding(tmp_path, child, noise, said):
+def test_a_roll_needs_a_pose_of_the_trunk_that_is_more_than_rounding(tmp_path, child, noise, said):
     def walk(time):
         how = {"place": (0.5 * time, 0, 0.3), "child": child, "roll": noise * math.sin(9 * time)}
         yield "/odom", ODOM, odometry(EPOCH + time, **how)
@@ -662,7 +662,7 @@ def test_raw_actions_are_not_targets(tmp_path):
     assert "actions before scale and offset" in missing
 
 
-def test_an_array_of_another_size_is_no_targets(tmp_path):
+def test_an_array_of_another_size_is_not_a_set_of_targets(tmp_path):
     entries = [(EPOCH + t, "/joint_states", JOINT, joints(EPOCH + t)) for t in TIMES]
     entries += [
         (EPOCH + t, "/action", ARRAY, {"layout": LAYOUT, "data": [0.0] * 13}) for t in TIMES

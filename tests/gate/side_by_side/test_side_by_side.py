@@ -73,7 +73,7 @@ def test_policies_are_ranked_with_their_scenes_and_where_they_part():
     assert found.waypoints == 12
 
 
-def test_a_scene_with_nothing_in_the_way_is_no_course_of_hurdles():
+def test_a_scene_with_nothing_in_the_way_is_not_a_course_of_hurdles():
     """Rows call its task so, as its trials are named by that."""
 
     def with_a_room(entrant):

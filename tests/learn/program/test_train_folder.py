@@ -29,7 +29,7 @@ def test_what_was_saved_comes_back_generators_and_all(folder):
     assert (state["step"], state["w"].tolist(), state["on"]) == (12, [0.0, 1.0, 2.0], True)
 
 
-def test_a_folder_without_a_state_has_none_and_one_without_a_config_is_no_training(
+def test_a_folder_without_a_state_has_none_and_one_without_a_config_is_not_a_training(
     folder, tmp_path
 ):
     assert TrainFolder.resume(folder.path).load_state() is None

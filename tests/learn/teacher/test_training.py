@@ -49,7 +49,9 @@ def quiet(_line):
 
 
 @pytest.mark.nightly
-def test_a_training_that_was_killed_goes_on_to_the_same_curve_and_the_same_policy(whole, tmp_path):
+def test_a_training_that_was_killed_continues_to_the_same_curve_and_the_same_policy(
+    whole, tmp_path
+):
     command = [sys.executable, "-c", SAVES_AT_ONCE, str(whole / "tiny.yaml"), str(tmp_path / "run")]
     killed = subprocess.run(command, check=False, capture_output=True, text=True, timeout=240)
     assert killed.returncode == -signal.SIGKILL, killed.stderr

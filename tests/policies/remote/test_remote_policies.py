@@ -158,7 +158,7 @@ def test_connections_share_no_state(local, url, tmp_path):
         np.testing.assert_array_equal(actions, expected)
 
 
-def test_a_failure_on_the_server_is_told_and_the_connection_survives(url, tmp_path):
+def test_a_failure_on_the_server_is_reported_and_the_connection_survives(url, tmp_path):
     policy = open_policy(remote(tmp_path, url))
     good = observations(1)[0]
     with pytest.raises(

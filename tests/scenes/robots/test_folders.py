@@ -355,7 +355,7 @@ def test_a_urdf_gets_a_free_joint(tmp_path):
         ("root: .nan", "robot.yaml:4:1: root"),
     ],
 )
-def test_what_robot_yaml_says_wrongly_is_told_with_its_place(tmp_path, line, said):
+def test_what_robot_yaml_says_wrongly_is_reported_with_its_place(tmp_path, line, said):
     yaml = YAML.replace("motors:", f"{line}\nmotors:")
     if said is None:
         assert find_robot(f"{written(tmp_path, MJCF, yaml)}/").spec.feet == ("flag",)
@@ -419,7 +419,7 @@ def test_what_is_too_much_is_refused_before_it_is_compiled(tmp_path, monkeypatch
     assert "mesh 'shapes/shell.stl' has over 11 faces" in faults(tmp_path)
 
 
-def test_a_damaged_mesh_is_no_traceback(tmp_path):
+def test_a_damaged_mesh_gives_no_traceback(tmp_path):
     folder = written(tmp_path)
     (folder / "shapes" / "shell.stl").write_bytes(b"solid x\nfacet normal 1 2")
     with pytest.raises(RobotError, match="mesh 'shapes/shell"):

@@ -89,7 +89,7 @@ def test_bad_files_are_named_errors(tmp_path, text, words):
 
 
 @pytest.mark.parametrize("suffix", ["obj", "ply", "stl"])
-def test_noise_is_no_mesh(tmp_path, suffix):
+def test_noise_is_not_a_mesh(tmp_path, suffix):
     path = tmp_path / f"noise.{suffix}"
     path.write_bytes(np.random.default_rng(0).bytes(5000))
     with pytest.raises(SceneError, match="noise"):

@@ -78,7 +78,7 @@ def test_values_of_axes_are_such_as_suites_may_have():
         ("hurdles/three_low+payloads", "there is no ladder"),
     ],
 )
-def test_what_is_no_ladder_is_said(wrong, message):
+def test_an_unknown_ladder_is_reported(wrong, message):
     with pytest.raises(SceneError) as raised:
         ladder_named(wrong)
     assert message in str(raised.value)
@@ -105,7 +105,7 @@ def test_of_a_ladder_that_grows_harder_downwards_the_greatest_value_comes_first(
     assert [rung.value for rung in rungs_of(str(folder))] == [0.24, 0.12]
 
 
-def test_a_folder_s_ladder_has_the_listed_values_only_and_is_no_scene(folder):
+def test_a_folder_s_ladder_has_the_listed_values_only_and_is_not_a_scene(folder):
     with pytest.raises(SceneError, match=r"no such rung; its rungs are 0\.12, 0\.24"):
         references([f"{folder}@0.2"])
     with pytest.raises(

@@ -165,7 +165,7 @@ def test_pixels_of_a_photograph_are_counted_as_it_is_seen_upright(tmp_path, turn
         facts_of_source(photographs_in(tmp_path / "in"), AlignOptions(lengths=(length,)))
 
 
-def test_a_build_says_it_before_photographs_are_read_and_goes_on(tmp_path, ended):
+def test_a_build_says_it_before_photographs_are_read_and_continues(tmp_path, ended):
     taken(tmp_path / "photographs")
     source, out = tmp_path / "photographs", tmp_path / "room"
     code, printed = ended("twin", "build", source, "--out", out)

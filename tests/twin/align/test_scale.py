@@ -305,7 +305,7 @@ def ledge(rng, share):
 
 
 @pytest.mark.parametrize("share", [0.02, 0.05, 0.3])
-def test_a_ledge_is_no_floor_from_which_a_camera_height_gives_a_scale(share):
+def test_a_ledge_is_not_a_floor_from_which_a_camera_height_gives_a_scale(share):
     rng = np.random.default_rng(11)
     T, poses = similarity(rng), straight(rng, 12, pitch=5.0)
     found = capture(ledge(rng, share), poses, T)

@@ -386,7 +386,7 @@ with BuildFolder(Path(sys.argv[1])).held():
 """
 
 
-def test_of_two_builds_on_one_folder_the_second_is_told_at_once_who_holds_it(
+def test_of_two_builds_on_one_folder_the_second_names_the_first_at_once(
     photographs, tmp_path, ended
 ):
     scene = tmp_path / "room"

@@ -65,8 +65,8 @@ class Limits:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.terminal.final_output import tell
         from nw_eval.cli.terminal.interruption import INTERRUPTED
-        from nw_eval.cli.terminal.last_words import tell
         from nw_eval.cli.terminal.progress import RunProgress
         from nw_gate.results.labels import typed_labels
 

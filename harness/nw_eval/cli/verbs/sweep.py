@@ -48,8 +48,8 @@ class SweepAxes:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.terminal.final_output import tell
         from nw_eval.cli.terminal.interruption import INTERRUPTED
-        from nw_eval.cli.terminal.last_words import tell
         from nw_eval.cli.terminal.progress import RunProgress
 
         request = Request(

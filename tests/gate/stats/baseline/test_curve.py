@@ -258,7 +258,7 @@ def test_progress_after_the_budget_is_the_curve():
     assert found.regressed[-1] == pytest.approx(point.regressed)
 
 
-def test_scenes_of_unequal_numbers_of_starts_are_no_baseline():
+def test_scenes_with_unequal_numbers_of_initial_states_are_not_a_baseline():
     seen, rules = few([[0, 10], [0, 12]])
     with pytest.raises(ValueError, match="10 to 12 initial states are not a baseline"):
         operating_curve(seen, rules, budget=20)

@@ -138,7 +138,7 @@ def test_a_log_without_a_card_says_so(make_job, library, tmp_path):
     ("start", "words"),
     [(-1.0, "--from -1; give seconds"), (1.0, "--from 1: .* ends at 1 s; give less")],
 )
-def test_a_moment_that_is_none_of_the_trial_is_refused(walked, library, start, words):
+def test_a_time_outside_the_trial_is_refused(walked, library, start, words):
     with pytest.raises(UsageError, match=words):
         take_over(walked[0], start=start, library=library)
 
