@@ -249,7 +249,7 @@ _PLAIN = (ast.FunctionDef, ast.ClassDef, ast.Import, ast.Expr)
 def _vet_parameters(own: OwnScore, names: Sequence[str]) -> None:
     if unknown := [name for name in names if name not in GIVEN]:
         raise UsageError(
-            f"score {own.spec.name!r}: {own.python} has a parameter {unknown[0]!r}, which is no "
+            f"score {own.spec.name!r}: {own.python} has a parameter {unknown[0]!r}, which is not a "
             "reading",
             fix=nearest(unknown[0], sorted(GIVEN)),
         )

@@ -298,10 +298,10 @@ class Commanded(Task):
             text = "".join(_OTHER_WAYS[way] for way in ("speed", "way") if way in hears)
             return TaskFault(
                 ("command",),
-                f"the policy cannot be told {' and '.join(sorted(unheard, key=_PARTS.index))}: its "
+                f"the policy does not observe {' and '.join(sorted(unheard, key=_PARTS.index))}: its "
                 f"card has no term `command`{text}",
-                f"give {cls.kind} a policy that follows velocity commands, or command only what "
-                "this one is told",
+                f"give {cls.kind} a policy that follows velocity commands, or give only commands "
+                "that this one observes",
             )
         if not parts and "way" in hears and len(hears) == 1:
             return TaskFault(

@@ -185,7 +185,7 @@ def test_what_does_not_fit_the_policy_is_reported_at_its_line(folder):
     with pytest.raises(SuiteError) as caught:
         ran(folder, text)
     assert str(caught.value) == (
-        f"{folder}/told.yaml:12:3: task.command: the policy cannot be told yaw: its card has no "
+        f"{folder}/told.yaml:12:3: task.command: the policy does not observe yaw: its card has no "
         "term `command`, its speed is the forward one, it turns towards waypoints; give velocity "
         "a policy that follows velocity commands, or give only commands that this one observes"
     )

@@ -361,7 +361,7 @@ def test_a_task_that_is_restored_continues_as_it_would_have(settings, at):
         ),
         (
             {"kind": "velocity", "command": {"draw": {"vx": [1.0, 0.5]}}},
-            "vx 1 to 0.5 is not a range; write the smaller number first",
+            "vx 1 to 0.5 is not a range; write the smaller one first",
         ),
         (
             {"kind": "velocity", "command": {"steps": [{"at": 2.0}, {"at": 1.0}]}},

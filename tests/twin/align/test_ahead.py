@@ -115,7 +115,7 @@ def test_a_length_in_a_photograph_that_is_not_there_is_an_error_at_once(tmp_path
     [
         ([("IMG_1.jpg:1,2", "IMG_1.jpg:1,2", 1.0)], "are one: IMG_1.jpg:1,2 and IMG_1.jpg:1,2"),
         ([("IMG_1.jpg:1,2+IMG_2.jpg:5,6", "IMG_2.jpg:5,6", 1.0)], "are one: "),
-        ([("IMG_1.jpg:480,2", "IMG_2.jpg:5,6", 1.0)], "outside of .* has 480 x 360 pixels"),
+        ([("IMG_1.jpg:480,2", "IMG_2.jpg:5,6", 1.0)], "outside the .* has 480 x 360 pixels"),
         ([("IMG_1.jpg:1,2", "IMG_2.jpg:5,400", 1.0)], "IMG_2.jpg:5,400 is outside"),
         (
             [("IMG_1.jpg:1,2", "IMG_2.jpg:5,6", 1.0), ("IMG_2.jpg:5,6", "IMG_1.jpg:1,2", 1.1)],

@@ -128,7 +128,7 @@ def test_two_points_of_known_distance_give_the_scale():
 @pytest.mark.parametrize(
     ("first", "message"),
     [
-        ({"nobody.jpg": (1, 1), "000.jpg": (2, 2)}, "no shot of the capture"),
+        ({"nobody.jpg": (1, 1), "000.jpg": (2, 2)}, "not a shot of the capture"),
         ({"000.jpg": (10, 10)}, "000.jpg:9.5,9.5 is in one photograph, and there is no mesh"),
         ({"000.jpg": (10, 900)}, "is outside the photograph, which has 320 x 240 pixels"),
         ({"000.jpg": (10, 10), "004.jpg": (300, 10)}, "do not meet in a point"),
