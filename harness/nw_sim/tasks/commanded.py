@@ -298,8 +298,8 @@ class Commanded(Task):
             text = "".join(_OTHER_WAYS[way] for way in ("speed", "way") if way in hears)
             return TaskFault(
                 ("command",),
-                f"the policy does not observe {' and '.join(sorted(unheard, key=_PARTS.index))}: its "
-                f"card has no term `command`{text}",
+                f"the policy does not observe {' and '.join(sorted(unheard, key=_PARTS.index))}: "
+                f"its card has no term `command`{text}",
                 f"give {cls.kind} a policy that follows velocity commands, or give only commands "
                 "that this one observes",
             )

@@ -388,9 +388,24 @@ def test_settings_that_mean_nothing_are_refused(task, said):
 @pytest.mark.parametrize(
     ("task", "hears", "location", "said"),
     [
-        (VELOCITY, {"way"}, ("command",), "cannot be told vx: its card has no term `command`, it "),
-        (DRAWN, {"way", "speed"}, ("command",), "cannot be told vy and yaw: its card has no term"),
-        ({**PUSH, "command": {"constant": {"vy": 0.1}}}, {"speed"}, ("command",), "be told vy: "),
+        (
+            VELOCITY,
+            {"way"},
+            ("command",),
+            "does not observe vx: its card has no term `command`, it ",
+        ),
+        (
+            DRAWN,
+            {"way", "speed"},
+            ("command",),
+            "does not observe vy and yaw: its card has no term",
+        ),
+        (
+            {**PUSH, "command": {"constant": {"vy": 0.1}}},
+            {"speed"},
+            ("command",),
+            "does not observe vy: ",
+        ),
         ({"kind": "stand"}, {"way"}, ("kind",), "nothing tells the policy to stand still"),
         (PUSH, {"way"}, ("kind",), "nothing tells the policy to stand still"),
         (
