@@ -98,7 +98,7 @@ def imported(group: str, name: str) -> object:
     except Exception as error:
         raise PluginError(
             f"{subject(first)} cannot be imported: {type(error).__name__}: {error}",
-            fix="mend or uninstall that package",
+            fix="fix or uninstall that package",
         ) from error
 
 

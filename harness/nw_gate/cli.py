@@ -108,7 +108,7 @@ def _span(text: str) -> tuple[float, float]:
     except ValueError:
         low = high = 0.0
     if not -1e300 < low < high < 1e300:
-        raise UsageError(f"--range {text!r} is no range", fix="give LOW,HIGH, such as 0,100")
+        raise UsageError(f"--range {text!r} is not a range", fix="give LOW,HIGH, such as 0,100")
     return low, high
 
 

@@ -128,7 +128,7 @@ def read_evaluation(path: str | Path, columns: Columns | None = None) -> Evaluat
         *(csv.Error, zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError),
     ) as error:
         reason = clean(error, at_most=200) or type(error).__name__
-        raise UsageError(f"{path} is no evaluation that nw-gate reads: {reason}") from None
+        raise UsageError(f"{path} is not an evaluation that nw-gate can read: {reason}") from None
     if not records:
         raise UsageError(f"{path} has no episodes")
     if len(records) > _MOST_EPISODES:
@@ -217,7 +217,7 @@ def _of_unknown(held: Mapping[str, Any], path: Path) -> Iterator[Mapping[str, An
         known = ", ".join([*listed, *parts][:12])
         raise UsageError(
             f"{path} holds several evaluations, or none",
-            fix=f"say which with --part: {known}" if known else "give a list of episodes",
+            fix=f"name one with --part: {known}" if known else "give a list of episodes",
         )
 
 
@@ -390,7 +390,7 @@ def _score(
         number_of = float(value)
     except (TypeError, ValueError):
         raise UsageError(
-            f"{path}, episode {number}: {column} {clean(value, at_most=40)!r} is no number",
+            f"{path}, episode {number}: {column} {clean(value, at_most=40)!r} is not a number",
             fix="name another column with --score",
         ) from None
     if math.isnan(number_of):

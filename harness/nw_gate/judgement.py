@@ -357,7 +357,7 @@ def _fallen(
 
 
 def _by_bar(groups: Mapping[str, Sequence[Scored]], limits: JudgeSettings) -> tuple[GateWord, str]:
-    assert limits.bar is not None, "whoever calls has one"
+    assert limits.bar is not None, "the caller has one"
     rounds = min(map(len, groups.values()))
     values = [np.array([score for _, score in group[:rounds]]) for group in groups.values()]
     low, high = (bound(values, limits.confidence) for bound in (lower_bound, upper_bound))

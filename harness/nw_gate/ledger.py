@@ -265,7 +265,7 @@ _MOST = 256 * 2**20  # bytes of a ledger: some 100,000 verdicts
 _LONGEST_LINE = 2**20  # bytes
 _TRIES = 5
 _MEND = "restore it from a copy, or begin another one"
-_MEND_END = "restore it from a copy, or remove {head} to go on without what is missing"
+_MEND_END = "restore it from a copy, or remove {head} to continue without the missing lines"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -452,7 +452,7 @@ def _check_head(path: Path, head: tuple[int, str] | None, contents: LedgerConten
         )
     if verdicts < 0 or contents.sums[verdicts : verdicts + 1] != (last_sum,):
         raise StoreError(
-            f"{path}:{verdicts + 1}: another line than was written: the ledger was written anew",
+            f"{path}:{verdicts + 1}: not the line that was written: the ledger was rewritten",
             fix=fix,
         )
 
@@ -481,7 +481,7 @@ def read_ledger(path: Path, *, head: str | None = None) -> LedgerContents:
     if head is not None and head not in contents.sums:
         raise StoreError(
             f"no line of {path} has the sum {clean(head, at_most=80)}: its end was cut off, or it "
-            "was written anew",
+            "was rewritten",
             fix="restore it from a copy, or give the head of this ledger",
         )
     return contents
@@ -544,7 +544,9 @@ def _read(path: Path, stream: IO[bytes]) -> LedgerContents:
 
 def _check_version(record: dict[str, Any], path: Path) -> None:
     if "ledger" not in record:
-        raise StoreError(f"{path} is no ledger", fix="name one that `nw-eval gate --ledger` began")
+        raise StoreError(
+            f"{path} is not a ledger", fix="name one that `nw-eval gate --ledger` wrote"
+        )
     if record["ledger"] != _VERSION:
         raise StoreError(
             f"{path} is a ledger of version {clean(record['ledger'], at_most=40)}, this nw-eval "

@@ -282,17 +282,17 @@ class Gate(Grown):
         None,
         ge=1,
         le=10_000,
-        description="Most trials of each scene against a baseline, on average: scene and start of "
-        "each trial are drawn at random. The run ends as soon as the verdict is settled. If absent "
-        "20, and more in a suite of fewer than ten scenes: 200 trials in all, as far as they are "
-        "half of the baseline's starts.",
+        description="Most trials of each scene against a baseline, on average: scene and initial "
+        "state of each trial are drawn at random. The run ends as soon as the verdict is "
+        "decided. If absent 20; in a suite of fewer than ten scenes 200 trials in all, and at most "
+        "half of the baseline's initial states.",
     )
     least_starts: int = Field(
         30,
         ge=1,
         le=10_000,
-        description="Fewest starts a scene of a baseline that a claim about new starts rests on. "
-        "With fewer than 30 its errors are larger than it says.",
+        description="Fewest initial states per scene of a baseline for a claim about new initial "
+        "states. With fewer than 30, its errors are larger than stated.",
     )
     claim: Literal["fresh", "panel"] = Field(
         "fresh",

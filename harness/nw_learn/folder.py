@@ -171,8 +171,10 @@ def read_state(path: Path) -> dict[str, Any]:
         raise StoreError(f"cannot read {path}: {error.strerror}", fix="check the path") from None
     except Exception as error:  # noqa: BLE001 - torch fails in any way.
         reason = clean(str(error).partition("\n")[0], at_most=200) or type(error).__name__
-        raise StoreError(f"{path} is no state: {reason}", fix="use an earlier checkpoint") from None
+        raise StoreError(
+            f"{path} is not a training state: {reason}", fix="use an earlier checkpoint"
+        ) from None
     if not isinstance(state, dict):
         fault = f"over {_MOST // 2**30} GiB" if size > _MOST else f"a {type(state).__name__}"
-        raise StoreError(f"{path} is no state but {fault}", fix="check the path")
+        raise StoreError(f"{path} is not a training state but {fault}", fix="check the path")
     return {str(key): value for key, value in state.items()}

@@ -408,7 +408,7 @@ def _verified(card_path: Path, named: Checkpoint, *, key: str = "checkpoint") ->
     if named.sha256 is not None and weights.sha256 != named.sha256:
         what = "motion" if key == "reference" else "checkpoint"
         raise PolicyError(
-            f"{weights.path}: the {what}'s SHA-256 is {weights.sha256}, the card says "
+            f"{weights.path}: the {what}'s SHA-256 is {weights.sha256}, that on the card is "
             f"{named.sha256}",
             fix=f"get the right file, or correct `{key}.sha256` if this one is meant",
         )
@@ -506,7 +506,7 @@ def _beside(card_path: Path, file: str) -> Path:
         return inside(card_path.parent, file)
     except OutsideError as error:
         raise PolicyError(
-            f"{card_path}: checkpoint {file!r} lies outside the card's folder: {error}",
+            f"{card_path}: checkpoint {file!r} is outside the card's folder: {error}",
             fix="move the file into the card's folder; only --checkpoint may name one elsewhere",
         ) from None
 

@@ -171,7 +171,7 @@ def _program(network: OnnxNetwork) -> Program:
     for into, out in network.fed.items():
         before, after = program.inputs[into], program.outputs[out]
         if (before.shape, before.dtype) != (after.shape, after.dtype):
-            raise ValueError(f"{out!r} is no next value of {into!r}")
+            raise ValueError(f"{out!r} is not a next value of {into!r}")
     return program
 
 

@@ -117,7 +117,7 @@ def unfitting(policy: str, reason: str) -> TrialError:
     """Return the error for a state that belongs to something else."""
     return TrialError(
         f"the state does not fit policy {policy!r}: {reason}",
-        fix="continue a trial with the checkpoint and card that began it",
+        fix="continue a trial with the checkpoint and card that it was started with",
     )
 
 

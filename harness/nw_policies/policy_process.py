@@ -229,14 +229,14 @@ class MessageLine:
         self._fill(heard, HEADER.size)
         kind, policy, text, data = HEADER.unpack_from(heard)
         if kind not in {TELL, ACT} or text > TEXT_LIMIT or data > DATA_LIMIT:
-            raise ValueError("what it says is no message")
+            raise ValueError("its answer is not a message")
         end = HEADER.size + text
         self._fill(heard, end + data)
         if len(heard) != end + data:
-            raise ValueError("it says more than it was asked")
+            raise ValueError("its answer is longer than asked")
         words = json.loads(heard[HEADER.size : end] or b"{}")
         if not isinstance(words, dict):
-            raise ValueError("what it says is no message")  # noqa: TRY004 - one error for all.
+            raise ValueError("its answer is not a message")  # noqa: TRY004 - one error for all.
         if isinstance(key := words.pop("bytes", None), str):
             words[key] = bytes(heard[end:])
         return Message(kind, policy, words, bytes(heard[end:]))

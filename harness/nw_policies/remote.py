@@ -338,7 +338,7 @@ def _check(hello: Mapping[str, Any], bundle: Bundle, options: RemoteOptions, joi
         )
     if options.digest is not None and hello.get("digest") != options.digest:
         raise PolicyError(
-            f"{where} serves the digest {str(hello.get('digest'))[:64]}, the card says "
+            f"{where} serves the digest {str(hello.get('digest'))[:64]}, that on the card is "
             f"{options.digest}",
             fix="serve the policy that is meant, or correct `options.digest`",
         )

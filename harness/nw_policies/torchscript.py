@@ -110,7 +110,7 @@ class TorchScriptNetwork:
                 raise TrialError(
                     f"{self._subject}: what feeds its input {name!r} is {value.dtype} of shape "
                     f"{list(value.shape)}",
-                    fix=f"correct `recurrent`, which says {one.shape}",
+                    fix=f"correct `recurrent`, which names {one.shape}",
                 )
             self._memory[_KEPT + name] = value.copy()
         return tuple(self._picked(outputs, place) for place in self._places)
@@ -280,7 +280,7 @@ def _check_signature(module: Any, bundle: Bundle) -> tuple[str, ...]:
         names = ", ".join(f"{name}: [...]" for name in needed)
         raise PolicyError(
             f"{where} takes {plural(len(needed), 'input')}, the card feeds {len(parts)}",
-            fix=f"say which observations make each, in this order: `inputs: {{{names}}}`",
+            fix=f"name the observations of each, in this order: `inputs: {{{names}}}`",
         )
     for (own, names), (name, kind, _) in zip(parts, arguments, strict=False):
         is_list, joined = kind == "List[Tensor]", ", ".join(names)

@@ -359,7 +359,7 @@ def _map(
     highest = float(np.abs(heights[known]).max())
     if highest > _HIGHEST:
         raise SceneError(
-            f"{path}: a pixel is at {highest:.3g} m, which is no height",
+            f"{path}: a pixel is at {highest:.3g} m, which is not a height",
             fix="if that means no ground, name it: --no-data",
         )
     if not known.all():

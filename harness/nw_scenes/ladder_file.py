@@ -142,7 +142,7 @@ def load_ladder(folder: Path) -> FolderLadder:
             problems.append(file.problem(at, f"scene {each.scene!r}: {error}", fix))
             continue
         if what_is(scene) != "folder":
-            message = f"scene {each.scene!r} is no folder"
+            message = f"scene {each.scene!r} is not a folder"
             problems.append(file.problem(at, message, "name a scene folder"))
         rungs.append((each.value, scene))
     if problems:

@@ -284,8 +284,8 @@ def _read_stl(path: Path, remarks: Remarks) -> Arrays:
         )
     if count == 0 and len(data) > needed:
         raise SceneError(
-            f"{path}: no readable STL mesh: it says 0 facets, and {len(data) - needed} bytes "
-            "follow: its writer did not finish",
+            f"{path}: no readable STL mesh: its header has 0 facets, and {len(data) - needed} "
+            "bytes follow: its writer did not finish",
             fix="export it again",
         )
     if len(data) > needed:

@@ -186,7 +186,7 @@ class _Glb:
         while waiting:
             number, T_parent = waiting.pop()
             if number in met or number < 0:
-                raise SceneError(f"{self.path}: its nodes are no tree", fix=AGAIN)
+                raise SceneError(f"{self.path}: its nodes do not form a tree", fix=AGAIN)
             met.add(number)
             node = nodes[number]
             T = T_parent @ _gltf_pose(node)

@@ -142,7 +142,7 @@ class Axis:
             return value
         unit = f" {self.unit}" if self.unit else ""
         size = f"{self.step:g}{unit}"
-        raise ValueError(f"{value:g}{unit} is no whole number of {self.steps} of {size}")
+        raise ValueError(f"{value:g}{unit} is not a whole number of {self.steps} of {size}")
 
 
 _ALL = (
@@ -531,7 +531,7 @@ class SweptAxis:
             values = [float(value) for value in span.split(",")]
         else:
             raise UsageError(
-                f"--axis {text!r}: {span!r} is no range of values",
+                f"--axis {text!r}: {span!r} is not a range of values",
                 fix=f"write {name}=FROM..TO, {name}=FROM..TO:STEPS or {name}=VALUE,VALUE",
             )
         if axis.step is not None:

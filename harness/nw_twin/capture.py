@@ -256,7 +256,7 @@ def read_capture(folder: Path) -> Capture:
     except SceneError as error:
         raise SceneError(f"{path}: {error.message}", fix=error.fix) from None
     except (*_DAMAGE, OutsideError, UsageError) as error:
-        raise SceneError(f"{path} is no capture: {first_problem(error)}", fix=_FIX) from None
+        raise SceneError(f"{path} is not a capture: {first_problem(error)}", fix=_FIX) from None
 
 
 def _shot(one: _Shot, seen: NDArray[np.int32], folder: Path) -> PlacedShot:

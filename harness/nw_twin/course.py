@@ -380,7 +380,7 @@ def _warnings(
     warnings: list[str] = []
     if further is not None:
         warnings.append(
-            f"the way goes on for {further:.1f} m: the course is {_LONGEST:g} m long at most, "
+            f"the way continues for {further:.1f} m: the course is {_LONGEST:g} m long at most, "
             "about "
             "as far as a robot walks in a trial; for more, add waypoints and set `duration`"
         )

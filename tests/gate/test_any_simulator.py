@@ -124,7 +124,7 @@ def test_two_columns_together_are_the_start_where_neither_is_alone(tmp_path):
     ("text", "columns", "said"),
     [
         ("a,b\n1,2\n", Columns(), "no column that is known to be a score; name it with --score"),
-        ("success\nperhaps\n", Columns(), "episode 1: success 'perhaps' is no number"),
+        ("success\nperhaps\n", Columns(), "episode 1: success 'perhaps' is not a number"),
         ("success\n0.5\n7\n", Columns(), "episode 2: success 7 is not between 0 and 1"),
         ("success\n1\n", Columns(score="sucess"), "no column 'sucess'; did you mean 'success'"),
         ("seed,success\n1,1\n1,0\n", Columns(start="seed"), "seed does not tell the episodes"),
@@ -163,7 +163,7 @@ def test_a_file_of_another_kind_is_an_error_of_ours(name, data, tmp_path, capsys
 def test_a_part_of_a_file_that_holds_several_is_named(tmp_path, capsys):
     parts = {name: {"per_episode": [{"success": name == "a"}] * 60} for name in "ab"}
     (tmp_path / "e.json").write_text(json.dumps(parts))
-    with pytest.raises(UsageError, match="several evaluations, or none; say which with --part: a"):
+    with pytest.raises(UsageError, match="several evaluations, or none; name one with --part: a"):
         read_evaluation(tmp_path / "e.json")
     both = [str(tmp_path / "e.json")] * 2
     with pytest.raises(SystemExit) as left:
@@ -312,7 +312,7 @@ def test_the_judgement_is_printed_as_a_table_or_as_json(tmp_path, capsys):
         (["--max-drop", "0"], "max_drop 0 do not fit"),
         (["--tolerate", "0.2"], "tolerate 0.2 and max_drop 0.1 do not fit"),
         (["--confidence", "1"], "confidence 1 and false_alarm"),
-        (["--range", "5,1"], "--range '5,1' is no range"),
+        (["--range", "5,1"], "--range '5,1' is not a range"),
         ([], "nothing to judge by; name a baseline or a bar"),
     ],
 )

@@ -93,7 +93,7 @@ def test_a_link_out_of_the_folder_is_refused(folder, tmp_path_factory):
     (folder / "link.onnx").symlink_to(outside)
     write_card(folder, file="link.onnx")
     with pytest.raises(
-        PolicyError, match=r"lies outside the card's folder: a link on its way leads to .*outside"
+        PolicyError, match=r"is outside the card's folder: a link on its way leads to .*outside"
     ):
         load_bundle(folder)
 

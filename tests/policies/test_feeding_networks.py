@@ -321,7 +321,7 @@ def test_a_state_of_another_policy_does_not_fit(tmp_path):
             policy.restore(state)
 
 
-def test_what_is_no_number_is_said_to_come_from_the_network(tmp_path):
+def test_values_that_are_not_numbers_are_attributed_to_the_network(tmp_path):
     class Dividing(nn.Module):
         def forward(self, x: torch.Tensor) -> torch.Tensor:
             return 1.0 / x
@@ -372,7 +372,7 @@ CHECKED = {
     "no slice": (
         lambda: linear(np.eye(16, 80)),
         "select: [all]",
-        f"{ZEROS}`encoder.a`: select: 'all' is no index or range; write 7 or 13:53",
+        f"{ZEROS}`encoder.a`: select: 'all' is not an index or range; write 7 or 13:53",
     ),
     "scales of another number": (
         lambda: linear(np.eye(12, 80)),
@@ -398,7 +398,7 @@ CHECKED = {
 
 
 @pytest.mark.parametrize("case", CHECKED)
-def test_what_does_not_fit_is_told_in_the_cards_terms(tmp_path, case):
+def test_what_does_not_fit_is_reported_in_the_cards_terms(tmp_path, case):
     make, output, said = CHECKED[case]
     data = make()
     files = {f"encoder.{'pt' if data[:2] == b'PK' else 'onnx'}": data}
@@ -415,7 +415,7 @@ def test_what_does_not_fit_is_told_in_the_cards_terms(tmp_path, case):
     assert said in str(caught.value)
 
 
-def test_an_input_that_is_not_there_is_told_with_the_network(tmp_path):
+def test_an_input_that_is_not_there_is_reported_with_the_network(tmp_path):
     files = {"encoder.onnx": linear(np.eye(12, 80)), "body.onnx": linear(np.eye(12))}
     bundle = bundle_of(
         tmp_path, files, inputs="[encoder]", encoder="encoder, inputs: {ops: [past]}"

@@ -401,7 +401,7 @@ def _ascii_numbers(
         words = line.split()
         if any(not _NUMBER.fullmatch(word) for word in words):
             raise SceneError(
-                f"{path}:{number}: a {element.name[:40]} row is no row of numbers: {line[:60]!r}",
+                f"{path}:{number}: a {element.name[:40]} row does not hold numbers: {line[:60]!r}",
                 fix=_AGAIN,
             )
     return np.array([float(word) for _, line in lines for word in line.split()])
@@ -421,7 +421,7 @@ def _ascii_rows(
     def damaged(bad: NDArray[np.bool_]) -> SceneError:
         number, line = lines[int(np.flatnonzero(bad)[0])]
         return SceneError(
-            f"{path}:{number}: a {element.name[:40]} row has not the numbers that the header says: "
+            f"{path}:{number}: a {element.name[:40]} row does not have the numbers of the header: "
             f"{line[:60]!r}",
             fix=_AGAIN,
         )

@@ -225,7 +225,7 @@ def baseline_bundle(
                 f"baseline {saved.manifest.name} was saved with {own.name} "
                 f"({own.checkpoint_digest[:8]}), and {bundle.where} differs "
                 f"({bundle.checkpoint_digest[:8]})",
-                fix="say where it lies with --policy and --checkpoint, or name the policy itself "
+                fix="give its path with --policy and --checkpoint, or name the policy itself "
                 "with --baseline",
             )
         return bundle

@@ -108,8 +108,8 @@ class BaselineComparison:
         Raises:
             TrialError: one produced no result.
         """
-        assert self._control is not None, "it has begun"
-        assert self._setup is not None, "it has begun"
+        assert self._control is not None, "it has started"
+        assert self._setup is not None, "it has started"
         self._control.run(indexes)
         if not self._control.is_interrupted:
             self._against = replace(self._against, control=self._control.arm)

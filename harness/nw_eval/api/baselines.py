@@ -130,7 +130,7 @@ class BaselineTarget:
         header = journal_header(self.plan)
         key = [header.suite_digest, header.policy_digest, self.policy.checkpoint_digest]
         digest = digest_of([key, dict(header.scene_digests), dict(header.engine)])
-        return _REPORTS / f"bank-{self.plan.suite.name}-{digest[:8]}"
+        return _REPORTS / f"baseline-{self.plan.suite.name}-{digest[:8]}"
 
     def is_in(self, baseline: BaselineResults, starts: int) -> bool:
         """Whether a baseline has all of it, so that nothing need be run."""

@@ -143,8 +143,8 @@ def sim2real(
     with limits, as `nw-eval limits` names it.
 
     Args:
-        real: a CSV with the columns policy, scene, trials, success (0 to 1); of limits policy,
-            ladder and limit, or lower (cleared) and upper (not cleared), in the ladder's unit.
+        real: a CSV with the columns policy, scene, trials, success (0 to 1). For limits: policy,
+            ladder, and limit (or lower, cleared, and upper, not cleared) in the ladder's unit.
         runs: run folders, and baselines by path or, beside a run, by name; or folders of
             `nw-eval limits`; other policies are ignored.
         confidence: confidence level, per interval.

@@ -57,7 +57,7 @@ def continued(run: Path, request: Request, *, again: bool = False) -> Plan:
     if request.shard is not None and request.shard != info.request.shard:
         was = "all of its trials" if info.shard is None else str(info.shard)
         raise IncomparableError(
-            f"cannot resume {run} as --shard {request.shard}: it was begun as {was}",
+            f"cannot resume {run} as --shard {request.shard}: it was started as {was}",
             fix="start a new run without --resume",
         )
     whole = request.over(info.request)
@@ -84,7 +84,7 @@ def continued(run: Path, request: Request, *, again: bool = False) -> Plan:
 
 
 def _check_gate(run: Path, begun: Suite, current: Suite) -> None:
-    """Refuse to judge a run by other rules than it was begun with.
+    """Refuse to judge a run by other rules than it was started with.
 
     More trials are no other rules: what is claimed holds at any look.
 
@@ -95,7 +95,7 @@ def _check_gate(run: Path, begun: Suite, current: Suite) -> None:
         suite.gate.model_dump(mode="json", exclude={"rounds"}) for suite in (begun, current)
     )
     changed = [
-        f"gate.{name} is {today.get(name)}, it was begun with {recorded.get(name)}"
+        f"gate.{name} is {today.get(name)}, it was started with {recorded.get(name)}"
         for name in sorted({*recorded, *today})
         if recorded.get(name) != today.get(name)
     ]

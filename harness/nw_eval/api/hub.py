@@ -136,7 +136,7 @@ def push_scene(folder: str | PathLike[str], to: str, *, private: bool = False) -
     files = folder_files(folder)
     faults = [str(each) for each in inspect_scene(folder).findings if each.severity == "error"]
     if faults:
-        raise SceneError((f"{folder} is not pushed as it is:", *faults), fix="mend the scene first")
+        raise SceneError((f"{folder} is not pushed as it is:", *faults), fix="fix the scene first")
     beside = {name: folder / name for name in _BESIDE}
     files |= {name: path for name, path in beside.items() if _is_own_file(path)}
     commit = push(

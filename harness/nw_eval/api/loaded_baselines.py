@@ -172,8 +172,8 @@ def resumed_baseline(
         return wanted
     asked = str(request.baseline) + ("" if wanted is None else f" ({wanted.info.sha256[:8]})")
     raise IncomparableError(
-        f"run {info.id} was begun against baseline {kept.info.name} ({kept.info.sha256[:8]}), not "
-        f"{asked}",
+        f"run {info.id} was started against baseline {kept.info.name} ({kept.info.sha256[:8]}), "
+        f"not {asked}",
         fix="start a new run without --resume",
     )
 

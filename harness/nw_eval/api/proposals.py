@@ -95,7 +95,7 @@ def measured_rungs(
                 if here != there:
                     raise IncomparableError(
                         f"{each.run}: its {what} is {here}, that of the baseline is {there}",
-                        fix="find the limits anew with `nw-eval limits`",
+                        fix="find the limits again with `nw-eval limits`",
                     )
             seeds.append(own.seed)
             rungs.update(_rungs(each, run.path, known))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _NAME = "limits.json"
 _MOST = 16 * 2**20
 """Bytes of a file."""
-_FIX = "find the limits anew with `nw-eval limits`"
+_FIX = "find the limits again with `nw-eval limits`"
 
 
 def limits_file(path: Path) -> Path | None:

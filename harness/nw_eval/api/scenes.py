@@ -247,7 +247,7 @@ def warmup(scenes: Sequence[str] = (), *, listener: Listener | None = None) -> W
     """Compile the kernels into the cache, and build the splats of scenes ahead.
 
     Args:
-        scenes: names or globs of scenes to build, too.
+        scenes: names or globs of scenes whose splats are built (default: none, only kernels).
         listener: receives how far splats have been built.
 
     Raises:

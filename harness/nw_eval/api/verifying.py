@@ -118,7 +118,7 @@ def verify(
         files = _of_another_root(files, root or "")
     repeats = None
     if not offline:
-        from nw_eval.api.verifying_again import run_again
+        from nw_eval.api.verifying_trials import run_again
 
         repeats = run_again(
             folder,

@@ -29,13 +29,13 @@ from typing import TYPE_CHECKING, NoReturn, TextIO
 
 from nw_base.errors import NwEvalError, StoreError, not_installed
 from nw_eval.cli.terminal.fetching import fetches_shown
+from nw_eval.cli.terminal.final_output import tell, unforeseen
 from nw_eval.cli.terminal.interruption import (
     INTERRUPTED,
     interruption,
     leave,
     nothing_left_to_interrupt,
 )
-from nw_eval.cli.terminal.last_words import tell, unforeseen
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs

@@ -267,7 +267,7 @@ class KnownTrials:
     def _doubt(self, expected: Row, row: Row) -> None:
         count = self.store.void(self.conditions)
         self._differing.append(
-            f"trial {row.trial_id} came out otherwise than the cache of trials says "
+            f"trial {row.trial_id} has another result than in the cache of trials "
             f"({row.outcome} after {row.steps} steps, {row.digest[:8]}; in the cache "
             f"{expected.outcome} after {expected.steps}, {expected.digest[:8]}): results that were "
             "used from the cache may be wrong; start a new run, which does not use them"

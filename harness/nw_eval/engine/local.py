@@ -71,7 +71,7 @@ class LocalProcesses:
     ) -> None:
         if memory_limit is not None and not can_be_listed():
             raise PrerequisiteError(
-                "--memory-limit: this system does not say what a process and its children hold",
+                "--memory-limit: this system does not report the memory of processes and children",
                 fix="drop it, or run on Linux with /proc",
             )
         job = jobs[0]

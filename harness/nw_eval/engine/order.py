@@ -183,7 +183,7 @@ def check_sample(sample: str, option: str = "--trials") -> None:
     found = _SHARE.fullmatch(sample)
     if found is None or not 0.0 < float(found[1] or found[2]) <= (100.0 if found[1] else 1e9):
         raise UsageError(
-            f"{option} {sample!r} is no share of the trials and no number of them",
+            f"{option} {sample!r} is neither a share nor a number of trials",
             fix="give one, such as 5% or 3",
         )
 

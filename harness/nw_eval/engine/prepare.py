@@ -60,7 +60,7 @@ def check_splats(card: Card, scenes: Iterable[Scene]) -> None:
     names, without = card.splat_images, [s.name for s in scenes if s.splat is None]
     if names and without:
         raise UsageError(
-            f"{', '.join(without)}: no splat, of which policy {card.name!r} needs images: "
+            f"{', '.join(without)}: no splat, which policy {card.name!r} needs images: "
             f"{', '.join(f'`{name}`' for name in names)}",
             fix="use a policy that sees no splat, or add a splat file to the scene folder",
         )

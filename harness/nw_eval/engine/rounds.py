@@ -352,8 +352,8 @@ class Attempts:
         if job.mcap is not None:
             job.mcap.unlink(missing_ok=True)  # It is of the other result.
         self.listener.message(
-            f"trial {lost.trial_id} came out otherwise than before, when its log was lost: its "
-            "first result stands, without a log"
+            f"trial {lost.trial_id} was re-run because its log was lost, and gave another "
+            "result: its first result is kept, without a log"
         )
         return lost
 

@@ -65,12 +65,15 @@ def next_step(verdict: Verdict, run: RunInfo) -> str:
     if run.is_search:
         return ""
     if run.is_part:
-        return "put all parts together with `nw-eval merge RUN... --out FOLDER`"
+        return "merge all shards with `nw-eval merge RUN... --out FOLDER`"
+    if verdict.verdict == "PASS" and verdict.against and verdict.against.basis == "same":
+        return "`nw-eval run SUITE --policy POLICY` compares the next checkpoint with this baseline"
     return _NEXT.get(verdict.verdict, "")
 
 
 _NEXT: Mapping[Word, str] = {
     "PASS": "`nw-eval baseline save` makes this policy the baseline of later runs",
+    "REGRESSED": "look at the worst trials",
     "RAN": "set `gate.success_rate` in the suite to get a verdict",
     "INCONCLUSIVE": "run more trials with `nw-eval run --resume RUN --trials N`",
     "INFRASTRUCTURE": "run the missing trials with `nw-eval run --resume RUN`",
@@ -80,9 +83,11 @@ _NEXT: Mapping[Word, str] = {
 def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     """Return what the bounds apply to, and what a gate against a baseline finds, on a line."""
     if run.is_part:
-        return "A part of a run speaks for nothing but its own trials."
+        return "These are the trials of one shard only."
     if run.is_search:
-        return "The trials of a search speak for its limit, not for success in these scenes."
+        return (
+            "These trials were chosen to find a limit; they do not measure success in these scenes."
+        )
     if verdict.success is None:
         return "No trial has a result, so nothing can be said."
     sentence = "The bounds apply to new initial states in these scenes."
@@ -302,9 +307,9 @@ _SAME = (
     "the same results, so no trial can tell the two apart."
 )
 _TAKEN_OVER = (
-    "Results that were not re-run are those of the baseline's file. Which trials were re-run was "
-    "drawn when the run began. Each of them finds a file that is wrong in a share p of its trials "
-    "with probability p; `nw-eval baseline verify` re-runs any share of them."
+    "Results that were not re-run are those of the baseline's file. The trials to re-run were "
+    "drawn when the run started. Each detects, with probability p, a file that is wrong in a share "
+    "p of its trials; `nw-eval baseline verify` re-runs any share of them."
 )
 _CURVE = (
     "What this gate does with other policies is simulated, with two kinds of them: every waypoint "
@@ -332,9 +337,9 @@ def _errors(found: Comparison) -> str:
         f"interval (lower end {false_alarm}, upper end {false_pass}). Success and drop are "
         "estimates at a stop that the results chose, which biases the drop away from zero; the "
         "bounds have no such bias. All tests of this gate "
-        f"together report REGRESSED of a policy that is good enough (above the bar, dropped by "
-        f"{found.tolerate:g} at most, in no scene by more than {found.scene_drop:g}) with "
-        f"probability at most {_percent(found.false_alarm)}. The verdict is on this checkpoint, "
+        f"together report REGRESSED with probability at most {_percent(found.false_alarm)} for a "
+        f"policy that is good enough: above the bar, dropped by at most {found.tolerate:g}, in no "
+        f"scene by more than {found.scene_drop:g}. The verdict is on this checkpoint, "
         "not on its training recipe: another seed of the same recipe may score otherwise."
     )
 
@@ -367,10 +372,10 @@ def _claim(found: Comparison) -> str:
     )
     return (
         f"The claim is of new initial states in these scenes: {how}. The drop compares each trial "
-        "with the baseline's mean in its scene, so that the baseline's success in the headline is "
-        "of the scenes that these trials met, some of them easy and some hard by chance. The "
-        "baseline's mean is taken for exact; with 30 or more initial states a scene that adds at "
-        "most 0.9 percentage points to either error (simulated)."
+        "with the baseline's mean in its scene. The baseline's success in the headline is "
+        "therefore that of the scenes of these trials, some easy and some hard by chance. The "
+        "baseline's mean is taken as exact; with 30 or more initial states per scene, that adds "
+        "at most 0.9 percentage points to either error (simulated)."
     )
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from nw_base.clean import clean
 from nw_base.files.cache import atomic_path
-from nw_eval.reporting.headline import blind_spot, headline, how_sure
+from nw_eval.reporting.headline import blind_spot, headline, how_sure, next_step
 from nw_eval.reporting.tables import NO_RIVALS, Rivals, all_tables
 from nw_eval.reporting.tables.cause import cause_table
 from nw_eval.reporting.tables.table import Table
@@ -69,6 +69,7 @@ def render_page(
         title=_whose(run, verdict) if among_others else "",
         headline=headline(verdict, run),
         blind_spot=blind_spot(verdict, run),
+        next_step=next_step(verdict, run),
         reasons=verdict.reasons,
         interrupted=run.interrupted,
         how_sure=how_sure(verdict, run),

@@ -139,7 +139,7 @@ def _standing(verdict: Verdict) -> list[str]:
     if verdict.verdict == "INFRASTRUCTURE":
         return ["the verdict is INFRASTRUCTURE; nw-eval run --resume runs what is missing"]
     if verdict.verdict == "RAN":
-        return ["the verdict is RAN, which says only that the trials ran"]
+        return ["the verdict is RAN, which means only that the trials ran"]
     return [f"the verdict is {verdict.verdict}, and does not rest on this scene alone"]
 
 

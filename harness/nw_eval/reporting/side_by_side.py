@@ -108,12 +108,12 @@ def _scenes(found: PolicyComparison) -> Table:
     labels = tuple(each.label for each in found.policies)
     return Table(
         title="Success by scene",
-        columns=("scene", "starts", *labels),
+        columns=("scene", "initial states", *labels),
         rows=tuple(
             (each.scene, str(each.starts), *(f"{mean:.3f}" for mean in each.means))
             for each in found.scenes
         ),
-        numbers=frozenset({"starts", *labels}),
+        numbers=frozenset({"initial states", *labels}),
     )
 
 
@@ -137,7 +137,7 @@ def _scores(found: PolicyComparison) -> Table:
         ),
         note="Means over the same initial states as success. In brackets what new initial states "
         f"in these scenes may give, {percent} each alone. A trial in which a score is undefined "
-        "counts as its declaration says.",
+        "counts as its definition requires.",
     )
 
 

@@ -237,10 +237,10 @@ _POLICIES: Mapping[str, str] = MappingProxyType(
 _ABOUT: Mapping[str, str] = MappingProxyType(
     {
         "go1": """\
-# go1-parkour is told the ground under it and needs no camera: `--policy` runs another one.
+# go1-parkour observes the ground under it and needs no camera: `--policy` runs another one.
 """,
         "go2": """\
-# himloco-go2 is blind. Its weights are not shipped, and `nw-eval check` says where they are:
+# himloco-go2 is blind. Its weights are not shipped, and `nw-eval check` prints where to get them:
 # `--checkpoint` names them, `--policy` runs another one.
 """,
     }

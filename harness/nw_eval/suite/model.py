@@ -164,7 +164,7 @@ class Suite(Grown):
     gate: Gate = Gate()  # pyright: ignore[reportCallIssue]
     plugins: dict[str, str] = Field(
         {},
-        description="Package and version of each name of the suite that a package brings along, "
+        description="Package and version of each name of the suite that a package provides, "
         "such as `axes.action_delay: my-package 1.0`; filled in where absent. It is an error if "
         "another version is installed.",
     )

@@ -65,7 +65,7 @@ def _kind(source: str) -> Kind:
         return "log"
     if source.startswith("hub:"):
         raise UsageError(
-            f"{source} may be a scene or a policy", fix=f"say which: --scene or --policy {source}"
+            f"{source} may be a scene or a policy", fix=f"name one: --scene or --policy {source}"
         )
     if _is_policy(source):
         return "policy"

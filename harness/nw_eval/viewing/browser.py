@@ -101,8 +101,8 @@ def viser_server(port: int, label: str, opened: Opened | None = None) -> Any:
     if not guarded:
         stop(server)
         raise PrerequisiteError(
-            f"viser {viser.__version__} starts its server in a way that is not known here, and "
-            "other web pages could not be kept out",
+            f"viser {viser.__version__} starts its server in an unknown way, so other web "
+            "pages could not be kept out",
             fix="pip install 'viser==1.1.1'",
         )
     if port not in {0, server.get_port()}:  # Somebody was faster.
@@ -180,7 +180,7 @@ class _Listened:
     async def recv(self) -> Any:
         frame = await self._connection.recv()
         if not _is_message(frame):
-            await self._connection.close(1007, "this is no message of the page")
+            await self._connection.close(1007, "this is not a message of the page")
             # Frames that came before it was closed are not heard either.
             raise import_module("websockets.exceptions").ConnectionClosedError(None, None)
         return frame

@@ -172,7 +172,7 @@ def setup_of(run: RunInfo, against: LoadedBaseline, gate: Gate) -> ComparisonSet
 
     Raises:
         IncomparableError: the baseline does not hold for the run, or has too few starts for its
-            trials; or it is unchecked on this class of machine; or no scene of it counts.
+            trials; or it is unchecked on this machine type; or no scene of it counts.
     """
     baseline = against.results
     check_match(run, baseline)

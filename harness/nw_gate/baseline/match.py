@@ -167,10 +167,10 @@ def basis_of(run: RunInfo, baseline: BaselineResults, checked: str | None) -> tu
     Args:
         run: on the baseline's suite and simulator (`check_match`).
         baseline: to compare with.
-        checked: what trials of the baseline have shown on this class of machine.
+        checked: what trials of the baseline have shown on this machine type.
 
     Raises:
-        IncomparableError: the baseline has no results from this class of machine, and none
+        IncomparableError: the baseline has no results from this machine type, and none
             was checked.
     """
     panel = baseline.panel_of(machine_of(run))
@@ -178,7 +178,7 @@ def basis_of(run: RunInfo, baseline: BaselineResults, checked: str | None) -> tu
         return "same", panel or baseline.panels[0]
     if panel is None and checked not in {"bits", "control"}:
         raise IncomparableError(
-            f"baseline {baseline.manifest.name} has no results from this class of machine "
+            f"baseline {baseline.manifest.name} has no results from this machine type "
             f"({_unlike(run, baseline)}), and no trial of the baseline has been run on it",
             fix=f"`nw-eval run --baseline {baseline.manifest.name}` runs some first, or add this "
             "machine's results "
@@ -530,7 +530,7 @@ def contradictions(rows: Iterable[Row], baseline: BaselineResults, panel: Panel)
     if not sentences:
         return ()
     own = baseline.manifest.policy.name
-    first = f"the baseline is not what its own policy {own} does: the same bits, other results"
+    first = f"the baseline is not what its own policy {own} does: the same actions, other results"
     return (first, *sentences[:_NAMED])
 
 
@@ -589,6 +589,6 @@ def _start_of(row: Row, panel: Panel) -> Start:
         raise StoreError(
             f"trial {row.trial_id} has no initial state of the baseline, which has {len(starts)} "
             "in its scene",
-            fix="judge the run against the baseline that it was begun with",
+            fix="judge the run against the baseline that it was started with",
         )
     return starts[row.seed_index]

@@ -42,8 +42,8 @@ from nw_gate.stats.baseline.trials import TrialRules, settle
 from nw_gate.stats.power import SceneCounts
 
 NOTHING_MORE = (
-    "every initial state of the baseline was met: a baseline with more initial states, and as many "
-    "trials, goes on"
+    "every initial state of the baseline was used: continue with a baseline of more initial "
+    "states, and with as many trials"
 )
 _SO_FAR = "if the candidate is as it looks so far"
 Forecast = tuple[tuple[CurvePoint, ...], tuple[CurvePoint, ...], tuple[CurvePoint, ...]]

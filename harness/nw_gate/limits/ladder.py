@@ -88,4 +88,4 @@ def check_confidence(confidence: float) -> None:
 def check_most(most: int) -> None:
     """Raise UsageError for a number of trials that is below 1."""
     if most < 1:
-        raise UsageError(f"most {most} is no number of trials", fix="give 1 or more")
+        raise UsageError(f"most {most} is not a number of trials", fix="give 1 or more")

@@ -226,7 +226,7 @@ class Limit:
             )
         except (KeyError, TypeError, ValueError, OverflowError, UsageError) as error:
             raise StoreError(
-                f"saved limit cannot be read: {error}", fix="save the baseline anew"
+                f"saved limit cannot be read: {error}", fix="save the baseline again"
             ) from error
 
     def _bound(self, rung: int) -> Bound | None:

@@ -72,7 +72,7 @@ def write_baseline(path: Path, baseline: BaselineResults) -> None:
         StoreError: it cannot be written, or could not be read again.
     """
     if fault := fault_of(baseline) or _misnamed(path, baseline.manifest):
-        raise StoreError(f"cannot write {path}: {fault}", fix="save the baseline anew from a run")
+        raise StoreError(f"cannot write {path}: {fault}", fix="save the baseline again from a run")
     content = baseline.manifest.model_dump(mode="json")
     for later in ("scores", "limits"):
         if not content[later]:
@@ -128,9 +128,7 @@ def read_baseline(path: Path) -> BaselineResults:
             says, or another name than its file.
     """
     if what_is(path) != "file":
-        raise UsageError(
-            f"no baseline at {path}", fix="`nw-eval baseline list` says which there are"
-        )
+        raise UsageError(f"no baseline at {path}", fix="`nw-eval baseline list` lists them")
     return baseline_of(read_small_table(path, fix=_RESTORE), path)
 
 
@@ -172,7 +170,7 @@ def baseline_of(table: PlainTable, path: Path) -> BaselineResults:
 def _manifest(text: str | None, path: Path) -> Manifest:
     if text is None:
         raise IncomparableError(
-            f"{path} is no baseline",
+            f"{path} is not a baseline file",
             fix="save one from a run with `nw-eval baseline save SUITE --run RUN`",
         )
     try:
@@ -204,7 +202,7 @@ def _starts(table: PlainTable, path: Path) -> Iterable[Start]:
         }
         absent = {name: column.default for name, column in SHARED.items() if name not in values}
     except (TypeError, ValueError):
-        raise _unusable(path, "a perturbation holds something that is no number") from None
+        raise _unusable(path, "a perturbation holds something that is not a number") from None
     values["trajectory"] = [str(each) for each in table.columns["trajectory"]]
     names = tuple(values)
     for line in zip(*values.values(), strict=True):
@@ -443,7 +441,7 @@ def fault_of_name(name: str) -> str | None:
     """Return what is wrong with the name of a baseline or a suite, or None."""
     if _NAME.fullmatch(name):
         return None
-    return f"{clean(name, at_most=80)!r} is no name (letters, digits, '_', '-', '.')"
+    return f"{clean(name, at_most=80)!r} is not a name (letters, digits, '_', '-', '.')"
 
 
 def place_of(start: Start) -> tuple[Stratum, int]:
@@ -471,7 +469,7 @@ def _fault_of_manifest(manifest: Manifest) -> str | None:
         return fault
     for text in _texts(manifest.model_dump(mode="json")):
         if clean(text) != text:
-            return f"its manifest has {clean(text, at_most=80)!r}, which is no plain line"
+            return f"its manifest has {clean(text, at_most=80)!r}, which is not a plain line"
     for ladder, saved in manifest.limits.items():
         try:
             Limit.from_dict(saved.limit)
@@ -487,7 +485,7 @@ def _fault_of_machines(baseline: BaselineResults) -> str | None:
     if machines != [panel.machine for panel in baseline.manifest.panels]:
         return "its results are not those that its manifest lists"
     if any(machine in machines[:index] for index, machine in enumerate(machines)):
-        return "it has two sets of results from one class of machine"
+        return "it has two sets of results from one machine type"
     return None
 
 
@@ -517,7 +515,7 @@ def _fault_of_start(start: Start) -> str | None:
         return fault
     kept = as_kept(values, SHARED)
     if unclean := next((name for name, value in kept.items() if value != values[name]), None):
-        return f"{unclean} {clean(values[unclean], at_most=80)!r} is no plain line"
+        return f"{unclean} {clean(values[unclean], at_most=80)!r} is not a plain line"
     return _contradiction(start) or out_of_bounds(values, SHARED)
 
 
@@ -559,7 +557,7 @@ def _fault_of_scenes(scenes: set[str], keyed: set[str]) -> str | None:
     if lacking := sorted(keyed - scenes):
         return f"it has no start in scene {clean(lacking[0], at_most=80)} of its manifest"
     if foreign := sorted(scenes - keyed):
-        return f"scene {clean(foreign[0], at_most=80)} is none of its manifest"
+        return f"scene {clean(foreign[0], at_most=80)} is not in its manifest"
     return None
 
 

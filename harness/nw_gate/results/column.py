@@ -134,9 +134,9 @@ def columns_of(row: type) -> NamedColumns:
     for name, hint in get_type_hints(row, include_extras=True).items():
         kind, *says = get_args(hint) or (hint,)
         if not (says and isinstance(says[0], Column)):
-            raise TypeError(f"{name} of {row.__name__} says nothing about its column")
+            raise TypeError(f"{name} of {row.__name__} does not describe its column")
         if says[0].added and not hasattr(row, name):
-            raise TypeError(f"{name} of {row.__name__} came later, and needs a default")
+            raise TypeError(f"{name} of {row.__name__} was added later and needs a default")
         columns[name] = replace(says[0], kind=kind, default=getattr(row, name, None))
     return columns
 

@@ -177,7 +177,7 @@ def _checked(
     mine, others = of_plan(rows, trials, checkpoint=info.policy.checkpoint_digest)
     if info.rows_digest not in {"", rows_digest(mine)}:
         raise StoreError(
-            f"{name} has other rows than run.json says "
+            f"{name} has other rows than run.json records "
             f"({rows_digest(mine)[:8]}, not {info.rows_digest[:8]})",
             fix="--resume completes the run, or start a new one",
         )

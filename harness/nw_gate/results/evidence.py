@@ -148,7 +148,7 @@ def read_digests(path: Path) -> Digests:
 def _digests(record: Any) -> Digests:
     digests = Digests(run=record["run"], rows=dict(record["rows"]))
     if not all(map(_is_hash, (digests.run, *digests.rows.values()))):
-        raise ValueError("a hash in it is none")
+        raise ValueError("it contains an invalid hash")
     return digests
 
 

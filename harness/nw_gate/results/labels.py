@@ -145,7 +145,7 @@ def links_of(labels: Mapping[str, str]) -> dict[str, str]:
         return {}
     links = {"job_url": url}
     server = _HOST.match(url)
-    assert server is not None, "a label without a server is none"
+    assert server is not None, "a label needs a server"
     if not repository or not _PATH.fullmatch(f"/{repository}"):
         return links
     base = f"{server[0]}/{repository}"

@@ -135,7 +135,7 @@ def check_beside(arms: Sequence[tuple[MergeSource, Sequence[Row]]]) -> None:
             if known.digest != row.digest:
                 raise IncomparableError(
                     f"not of one run: trial {row.trial_id} of the baseline's policy "
-                    f"{row.policy} has other bits in {earlier} than in {source}",
+                    f"{row.policy} has other results in {earlier} than in {source}",
                     fix=_ONE_KIND,
                 )
 
@@ -154,12 +154,12 @@ def _check_bits(one: MergeSource, two: MergeSource) -> None:
     if None in by_check:
         raise IncomparableError(
             f"{by_check[None]} ended before the baseline's policy had run on its machine",
-            fix=f"--resume {by_check[None].folder.path} goes on with it",
+            fix=f"--resume {by_check[None].folder.path} continues it",
         )
     if {"bits", "control"} <= set(by_check):
         raise IncomparableError(
-            f"not of one run: the baseline's policy repeats its bits in {by_check['bits']} and has "
-            f"others in {by_check['control']}, and only with others a part has a control",
+            f"not of one run: the baseline's policy reproduces its results in {by_check['bits']}, "
+            f"not in {by_check['control']}; all shards must agree",
             fix=_ONE_KIND,
         )
 
@@ -479,7 +479,7 @@ def _take_logs(held: Iterable[SourcedRow], folder: RunFolder) -> tuple[str, ...]
     if not lost:
         return ()
     return (
-        f"{plural(len(lost), 'log')} not there, or not of the size that its row says: {lost[0]}"
+        f"{plural(len(lost), 'log')} missing, or not of the size in its row: {lost[0]}"
         + (f" and {len(lost) - 1} more" if len(lost) > 1 else ""),
     )
 

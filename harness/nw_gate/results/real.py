@@ -123,7 +123,7 @@ def _read(
     except LookupError as error:
         raise UsageError(f"{path} {error.args[0]}", fix=fix) from None
     except (ValueError, csv.Error) as error:
-        raise UsageError(f"{path} is no CSV: {error}", fix=fix) from None
+        raise UsageError(f"{path} is not a CSV: {error}", fix=fix) from None
     results: list[_R] = []
     faults: list[Problem] = []
     for number, wanted in cells:
@@ -175,7 +175,7 @@ def _result(
     if any((each.policy, each.scene) == (policy, scene) for each in before):
         raise ValueError(f"policy {policy!r} in scene {scene!r} is there twice")
     if not (trials.isascii() and trials.isdigit() and 1 <= int(trials) <= _MOST_TRIALS):
-        raise ValueError(f"trials {trials!r} is no whole number from 1 to {_MOST_TRIALS}")
+        raise ValueError(f"trials {trials!r} is not a whole number from 1 to {_MOST_TRIALS}")
     name = "success" if spec is None else spec.name
     share = spec is None and written.endswith("%")
     try:
@@ -184,7 +184,7 @@ def _result(
         value = math.nan
     if spec is not None:
         if not math.isfinite(value):
-            raise ValueError(f"{name} {written!r} is no number")
+            raise ValueError(f"{name} {written!r} is not a number")
         value = spec.scaled(value)
     if not 0.0 <= value <= 1.0:
         raise ValueError(f"success {written!r} is not between 0 and 1")
@@ -204,7 +204,7 @@ def _limit(cells: Sequence[str], place: str, before: list[RealLimit]) -> RealLim
         except ValueError:
             value = math.nan
         if value is not None and not math.isfinite(value):
-            raise ValueError(f"limit {text!r} is no number")
+            raise ValueError(f"limit {text!r} is not a number")
         values.append(value)
     if values == [None] * len(values):
         raise ValueError("it has no limit")

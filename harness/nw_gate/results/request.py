@@ -87,7 +87,8 @@ class Request:
     record: Record | None = None
     """Trials whose MCAP logs contain camera images (default: the suite's choice)."""
     time_limit: float | None = None
-    """Wall time, in seconds, after which a trial counts as hung (default: generous)."""
+    """Wall time, in seconds, after which a trial counts as hung (default: 90, and 20 per
+    simulated second)."""
     memory_limit: str | None = None
     """Memory of a worker and its child processes, such as 2GB or 1.5GiB. A trial that uses more
     ends as crashed (default: no limit)."""

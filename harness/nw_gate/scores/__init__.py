@@ -89,7 +89,7 @@ def score_class(name: str, *, allow_code: bool = False) -> type[Score]:
     if name in BUILT_IN:
         return BUILT_IN[name]
     if name not in installed(SCORES):
-        raise UsageError(f"{name!r} is no score", fix=nearest(name, score_names()))
+        raise UsageError(f"{name!r} is not a score", fix=nearest(name, score_names()))
     return load_class(SCORES, name, Score, _own_name)
 
 

@@ -230,7 +230,7 @@ def _vet(own: OwnScore, folder: Path, source: str) -> None:
     except (SyntaxError, ValueError) as error:
         line = getattr(error, "lineno", None) or 1
         message = f"{where}:{line}: {clean(getattr(error, 'msg', error), at_most=200)}"
-        raise UsageError(message, fix="mend the file") from None
+        raise UsageError(message, fix="fix the file") from None
     functions = [each for each in parsed.body if isinstance(each, ast.FunctionDef)]
     function = next((each for each in reversed(functions) if each.name == wanted), None)
     if function is not None:
@@ -249,7 +249,7 @@ _PLAIN = (ast.FunctionDef, ast.ClassDef, ast.Import, ast.Expr)
 def _vet_parameters(own: OwnScore, names: Sequence[str]) -> None:
     if unknown := [name for name in names if name not in GIVEN]:
         raise UsageError(
-            f"score {own.spec.name!r}: {own.python} has a parameter {unknown[0]!r}, which is no "
+            f"score {own.spec.name!r}: {own.python} has a parameter {unknown[0]!r}, which is not a "
             "reading",
             fix=nearest(unknown[0], sorted(GIVEN)),
         )
@@ -439,7 +439,7 @@ def _computing(own: OwnScore, source: str) -> type[Score]:
         raise UsageError(
             f"score {own.spec.name!r}: {own.python} cannot be loaded: "
             f"{type(error).__name__}: {clean(error, at_most=200)}",
-            fix="mend the file",
+            fix="fix the file",
         ) from None
     _vet_parameters(own, parameters)
     members = {"spec": own.spec, "function": staticmethod(function), "parameters": parameters}

@@ -86,7 +86,7 @@ def hazards(ends: Ends, confidence: float = 0.95) -> tuple[Hazard, ...]:
     """
     check_confidence(confidence)
     if len(ends) < 2 or any(count < 0 for count in ends):
-        raise ValueError(f"{list(ends)} are no numbers of trials that ended after 0, 1, .. K")
+        raise ValueError(f"{list(ends)} are not numbers of trials that ended after 0, 1, .. K")
     return tuple(
         _hazard(k, ends[k - 1], sum(ends[k - 1 :]), confidence) for k in range(1, len(ends))
     )

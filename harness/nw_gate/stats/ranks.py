@@ -104,7 +104,9 @@ def possible_ranks(policies: Sequence[Groups], error: float = 0.05) -> tuple[Ran
     """
     shapes = [tuple(len(scene) for scene in groups) for groups in policies]
     if len({*shapes}) > 1:
-        raise ValueError("policies with other numbers of starts cannot be compared start by start")
+        raise ValueError(
+            "policies with different numbers of initial states cannot be compared state by state"
+        )
     for scores in (np.asarray(scene) for groups in policies for scene in groups):
         if not ((scores >= 0.0) & (scores <= 1.0)).all():
             raise ValueError("a success is not between 0 and 1")

@@ -429,7 +429,7 @@ class StudentTraining:
                 raise IncomparableError(
                     f"{self._folder.path} is of another {name}: {str(state.get(name))[:8]}, here "
                     f"it is {ours[:8]}",
-                    fix="train in a new folder, or restore what it began with",
+                    fix="train in a new folder, or restore what it started with",
                 )
         try:
             self._round, self._step = int(state["round"]), int(state["step"])
@@ -437,7 +437,7 @@ class StudentTraining:
             self._learner.restore(state)
         except (KeyError, TypeError, AttributeError, ValueError, RuntimeError) as error:
             raise StoreError(
-                f"{self._folder.state} is no state of this training: {error!r}",
+                f"{self._folder.state} is not a state of this training: {error!r}",
                 fix="train in a new folder",
             ) from None
 

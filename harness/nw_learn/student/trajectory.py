@@ -98,7 +98,7 @@ def read_trajectory(path: Path) -> Trajectory:
         _check(read)
     except _DAMAGE as error:
         raise StoreError(
-            f"{path} is no trajectory: {error}", fix="remove it; it will be driven again"
+            f"{path} is not a trajectory: {error}", fix="remove it; it will be driven again"
         ) from None
     return read
 

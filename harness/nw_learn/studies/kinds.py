@@ -535,7 +535,7 @@ class Observations:
                 note=_EQUAL,
             ),
             Table(
-                title=f"Success less that of {students[0].label} on the same starts",
+                title=f"Success less that of {students[0].label} on the same initial states",
                 columns=("student", *_BY_PART),
                 rows=tuple(
                     (each.label, *(cell(paired.get((each.name, part))) for part in PARTS))
@@ -572,7 +572,7 @@ class Observations:
             )
         above.set_ylabel("mean success")
         first = folded(students[0].label, 20)
-        below.set_ylabel(f"success less that of\n{first}, same starts", parse_math=False)
+        below.set_ylabel(f"success less that of\n{first}, same initial states", parse_math=False)
         save_bars(figure, path, _OBSERVATIONS)
 
 

@@ -120,7 +120,7 @@ class CourseSettings(ConfigModel):
             if split_of(name) == "eval":
                 raise ValueError(f"{name!r} is kept for evaluation; name scenes to train in")
             if name not in known:
-                raise ValueError(f"{name!r} is no training scene; {nearest(name, known)}")
+                raise ValueError(f"{name!r} is not a training scene; {nearest(name, known)}")
         return scenes
 
     @model_validator(mode="after")

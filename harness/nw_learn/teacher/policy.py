@@ -140,7 +140,7 @@ def read_actor(data: bytes, where: str) -> Actor:
     shapes, expected = [a.shape for a in numbers], [tuple(t.shape) for t in wanted.values()]
     if shapes != expected:
         raise PolicyError(
-            f"{where} is no network of a teacher: its numbers have shapes {shapes}",
+            f"{where} is not a teacher's network: its arrays have the shapes {shapes}",
             fix=f"they should be {expected}, in the order of use",
         )
     for tensor, array in zip(wanted.values(), numbers, strict=True):

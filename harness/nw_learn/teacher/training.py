@@ -408,7 +408,7 @@ class _Training:
                 self._restore(state)
             except (KeyError, TypeError, AttributeError, ValueError, RuntimeError) as error:
                 raise StoreError(
-                    f"{self._folder.state} is no state of this training: {error!r}",
+                    f"{self._folder.state} is not a state of this training: {error!r}",
                     fix="start a new training from a checkpoint: `start: .../0001.pt`",
                 ) from None
         config, steps = self._config, self._config.budget.steps

@@ -29,8 +29,8 @@ class _Options:
 
     def carry_out(self, kind: Kind) -> int:
         """Begin the study or go on with it, and say where its figure is."""
+        from nw_eval.cli.terminal.final_output import tell
         from nw_eval.cli.terminal.interruption import INTERRUPTED
-        from nw_eval.cli.terminal.last_words import tell
         from nw_eval.cli.terminal.progress import RunProgress
         from nw_learn.config import find_config
         from nw_learn.studies.study import open_study

@@ -220,7 +220,7 @@ class CameraMounting(CardModel):
     def _one_view(self) -> CameraMounting:
         if self.intrinsics is not None and "field_of_view" in self.model_fields_set:
             raise ValueError(
-                "`field_of_view` and `intrinsics` both say what it sees; remove one of them"
+                "`field_of_view` and `intrinsics` both set the field of view; remove one of them"
             )
         return self
 

@@ -249,7 +249,7 @@ class _Checked:
                 text = f"{network.rate} Hz, the policy acts at {card.control.rate} Hz"
                 self._tell((*place, "rate"), text, "give a rate that divides it")
         if card.networks and card.inputs is None and not card.adapter.startswith("python:"):
-            text = "`inputs` is missing: it says what the checkpoint itself takes"
+            text = "`inputs` is missing: it names the observations of each input of the checkpoint"
             fix = f"for example `inputs: [{', '.join(self._known)}]`"
             self._tell(("networks",), text, fix, named=False)
         elif card.inputs is not None and used <= set(self._known):

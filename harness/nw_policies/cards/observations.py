@@ -140,7 +140,7 @@ def selected_indices(select: list[int | str], size: int, *, of: str = "frame") -
             start = int(first)
             stop = int(last) if colon else start + 1
         except ValueError:
-            message = f"select: {entry!r} is no index or range; write 7 or 13:53"
+            message = f"select: {entry!r} is not an index or range; write 7 or 13:53"
             raise ValueError(message) from None
         if not 0 <= start < stop <= size:
             message = f"select: {entry!r} is outside the {size} numbers of the {of}"

@@ -145,7 +145,7 @@ def find_checkpoint(folder: Path) -> tuple[Path, tuple[str, ...]]:
         )
     if not checkpoints:
         raise PolicyError(
-            f"{folder}: no checkpoint lies in it, or in a folder of it",
+            f"{folder}: no checkpoint is in it or in its folders",
             fix=f"name the file; checkpoints end in {', '.join(sorted(_SUFFIXES))}",
         )
 

@@ -406,7 +406,15 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
         "dof_vel": _scale_of(data, "dof_vel_scale", "obs_scales_dof_vel"),
     }
     clip = data.number("clip_actions")
-    steps = int(data.number("frame_stack") or 1)
+    steps = int(data.number("frame_stack", "history_length") or 1)
+    size, whole, notes = (
+        data.number("num_single_obs", "obs_size_single"),
+        data.number("num_obs"),
+        (),
+    )
+    size = whole if size is None else size
+    if size in {steps * (9 + 3 * joints), steps * (11 + 3 * joints)}:
+        size /= steps  # Some count all frames.
     term = ExportedTerm(
         name="", clip=(-math.inf, math.inf), history=steps, form="order: oldest_first, by: step"
     )
@@ -420,7 +428,6 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
         )
         for name in (_OTHER_GYM_TERMS if is_other else _GYM_TERMS)
     ]
-    size, notes = data.number("num_single_obs", "num_obs"), ()
     if size == 11 + 3 * joints:
         # Sine and cosine of a phase of 0.8 s, as its deploy scripts have it.
         terms.append(replace(term, name="phase", scale=(1.0,), width=2, keys="frequency: 1.25"))

@@ -95,7 +95,7 @@ class PipelineDraft:
             if other is None or source in (*way, node.name):
                 raise PolicyError(
                     f"{self._where}: input {tensor.said} of node {plain(node.name)!r} is fed by "
-                    f"{plain(source)!r}, which {'it feeds' if other else 'is no node'}",
+                    f"{plain(source)!r}, which {'it feeds' if other else 'is not a node'}",
                     fix="export the pipeline again",
                 )
             if output not in self._taken.setdefault(source, []):

@@ -94,7 +94,7 @@ def _pair(r: Values, a: Any, _: Any) -> str:
 
 def _logic(r: Values, a: Any, _: Any) -> str:
     if any(isinstance(x, torch.Tensor) and x.dtype != torch.bool for x in (a.self, a.other)):
-        raise UnsupportedError("numbers that are no truth values")
+        raise UnsupportedError("numbers that are not truth values")
     return r.add(_LOGIC[a.operator], r.name(a.self), r.name(a.other))
 
 
@@ -118,7 +118,7 @@ def _times(r: Values, x: str, factor: float) -> str:
 @rule("bitwise_not")
 def _opposite(r: Values, a: Any, _: Any) -> str:
     if a.self.dtype != torch.bool:
-        raise UnsupportedError("numbers that are no truth values")
+        raise UnsupportedError("numbers that are not truth values")
     return r.add("Not", r.name(a.self))
 
 

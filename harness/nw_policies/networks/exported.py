@@ -342,7 +342,7 @@ def _step(node: dict[str, Any], where: str) -> _Step:
         operator = getattr(getattr(torch.ops.aten, name, None), overload, None)
     if not callable(operator):
         raise PolicyError(
-            f"{where}: the graph calls {target[:80]!r}, which is no operator of torch",
+            f"{where}: the graph calls {target[:80]!r}, which is not an operator of torch",
             fix="export the plain network, without custom operators or control flow",
         )
     arguments = {arg["name"]: _argument(arg["arg"], name, where) for arg in node["inputs"]}

@@ -84,7 +84,7 @@ def chain(shapes: Mapping[str, Shape], weights: Sequence[str], where: str) -> tu
     last = max((n for n, layer in enumerate(layers) if layer.kind == "linear"), default=-1)
     if last != len(layers) - 1:
         raise PolicyError(
-            f"{where}: the last layer, {layers[-1].name!r}, is no linear one",
+            f"{where}: the last layer, {layers[-1].name!r}, is not linear",
             fix="name the layer that gives the action as the last of `weights`",
         )
     layers[-1] = replace(layers[-1], activated=False)
@@ -161,6 +161,6 @@ def _recurrent(name: str, tensors: Mapping[str, Shape], where: str) -> Layer:
 def _unknown(where: str, name: str, tensors: Sequence[str]) -> PolicyError:
     shown = ", ".join(tensors[:4]) + ", ..." * (len(tensors) > 4)
     return PolicyError(
-        f"{where}: {name!r} is no linear, layer-normalisation, LSTM or GRU layer: it has {shown}",
+        f"{where}: {name!r} is not a linear, layer-norm, LSTM or GRU layer: it has {shown}",
         fix="name the parts of the policy's chain in `weights`, or export it as ONNX",
     )

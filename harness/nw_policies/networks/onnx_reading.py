@@ -150,7 +150,7 @@ class _GraphReader:
                 dtype = np.dtype(_DTYPES[tensor.integer("elem_type")])
                 shape = tuple(side or None for side in sides)
                 return GraphInput(name=name, shape=shape, dtype=dtype)
-        raise UnsupportedError(f"the input {name!r}, which is no array of numbers")
+        raise UnsupportedError(f"the input {name!r}, which is not an array of numbers")
 
     def _node(self, node: ProtobufMessage) -> Node:
         domain = node.text("domain")

@@ -235,7 +235,7 @@ class Recorder(TorchDispatchMode, Values):
             )  # fmt: skip
             cuts = [0, *(i + 1 for i, (a, b) in enumerate(pairwise(taken)) if b != a + 1), count]
             if len(cuts) > _PIECES:
-                raise UnsupportedError("an array of which many parts are overwritten")
+                raise UnsupportedError("an array with many overwritten parts")
             parts = [
                 self.slice(both, 0, taken[start], taken[start] + end - start)
                 for start, end in pairwise(cuts)

@@ -478,7 +478,7 @@ def _read_header(data: bytes, where: str, limits: FileLimits) -> tuple[TensorEnt
         if not inside or entry.stop - entry.start != wanted or min(entry.shape, default=0) < 0:
             raise PolicyError(
                 f"{where}: tensor {entry.name!r} of shape {entry.shape} is not where the header "
-                "says",
+                "puts it",
                 fix="the file is truncated or forged: export the policy again",
             )
     ordered = sorted((entry for entry in entries if entry.stop > entry.start), key=_place)

@@ -294,7 +294,7 @@ def unreachable(client: Client, reference: Reference, error: Exception) -> Fetch
     what = "fetch all from" if isinstance(error, SlowError) else "reach"
     return FetchError(
         f"{reference.text}: cannot {what} {client.endpoint}: {_first_line(error)}",
-        fix="check the network, proxy and HF_ENDPOINT; what was fetched once needs none",
+        fix="check the network, proxy and HF_ENDPOINT; fetched files need no network",
     )
 
 
@@ -357,7 +357,7 @@ def push(reference: Reference, files: Mapping[str, Path], *, private: bool, mess
             )
             commit = str(done.oid)
             if not is_commit(commit):
-                raise ValueError(f"{clean(commit, at_most=60)!r} is no commit")
+                raise ValueError(f"{clean(commit, at_most=60)!r} is not a commit")
     except RuntimeError as error:  # What an upload in a thread of its own ends with.
         raise FetchError(
             f"{reference.text}: {clean(error, at_most=200)}", fix="push again"

@@ -55,7 +55,7 @@ def commit_of(client: Client, reference: Reference) -> str:
     info, _ = json_of(client, url, Deadline(limits.SECONDS))
     commit = str(info["sha"])
     if not is_commit(commit):
-        raise ValueError(f"{clean(commit, at_most=60)!r} is no commit")
+        raise ValueError(f"{clean(commit, at_most=60)!r} is not a commit")
     # So many hexadecimal digits are meant as a commit, or its beginning, whoever has a branch so.
     if _DIGITS.fullmatch(wanted) and not commit.startswith(wanted.lower()):
         raise reference.error(
@@ -106,7 +106,7 @@ def files_of(client: Client, reference: Reference, commit: str) -> tuple[RemoteF
         large = entry.get("lfs")
         identity = str(large["oid"] if large else entry["oid"])
         if not _IDENTITY.fullmatch(identity):  # It is to be the name of a file.
-            raise ValueError(f"{clean(identity, at_most=80)!r} is no digest")
+            raise ValueError(f"{clean(identity, at_most=80)!r} is not a digest")
         files.append(RemoteFile(path=path, size=int(entry["size"]), identity=identity))
     _check_amount(reference, files)
     return tuple(sorted(files, key=lambda file: file.path))

@@ -268,7 +268,7 @@ def download(
     if not _is_whole(part, file):
         part.unlink()
         raise FetchError(
-            f"{reference.text}: what came as {file.path} is not what {client.endpoint} announced",
+            f"{reference.text}: received for {file.path} is not what {client.endpoint} announced",
             fix="fetch it again",
         )
 
@@ -404,7 +404,7 @@ def bring_robot(reference: Reference) -> Fetched:
     except module.MenagerieError as error:
         raise FetchError(
             f"{reference.text}: {clean(error, at_most=300)}",
-            fix="check the network and proxy; what was fetched once needs none",
+            fix="check the network and proxy; fetched files need no network",
         ) from None
     own = [path for path in (root / "LICENSE", root / "README.md") if path.is_file()]
     names = sorted({str(path.relative_to(root)) for path in (*files, *own)})

@@ -45,7 +45,7 @@ class Tree:
         along = np.ascontiguousarray(directions, dtype=np.float32)
         begin = np.ascontiguousarray(origins, dtype=np.float32)
         if along.shape[1:] != (3,) or begin.shape not in {(3,), along.shape}:
-            raise ValueError(f"origins {begin.shape} and directions {along.shape} are no rays")
+            raise ValueError(f"origins {begin.shape} and directions {along.shape} are not rays")
         distance, face = np.empty(len(along)), np.empty(len(along), np.int32)
         step = 3 if begin.ndim > 1 else 0
         cast(self._tree, begin.reshape(-1), step, along.reshape(-1), distance, face)

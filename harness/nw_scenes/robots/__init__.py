@@ -272,7 +272,7 @@ def _of_fetched(reference: str) -> FoundRobot:
         own = f"{_FOLDER}/{folder.name}"
         copied = f"copy {folder} to {own} and name that; in its robot.yaml, "
         raise RobotError(
-            [replace(each, fix=copied + (each.fix or "mend it")) for each in error.problems]
+            [replace(each, fix=copied + (each.fix or "fix it")) for each in error.problems]
         ) from None
 
 
@@ -314,7 +314,7 @@ def _of_package(name: str) -> FoundRobot:
     except Exception as error:
         raise RobotError(
             f"{whose} cannot be used: {type(error).__name__}: {error}",
-            fix="mend or uninstall that package",
+            fix="fix or uninstall that package",
         ) from error
     spec = robot if isinstance(robot, RobotSpec) else robot.spec
     if spec.name != name:

@@ -20,7 +20,7 @@ _ELEMENTS: dict[str, str] = {
     "of muscles": "lengthrange",
     _LOOKS: "texture layer skin",
     "scenes have their own lights": "light",
-    "ground of the file, in place of which scenes have their own": "hfield",
+    "ground of the file; scenes have their own": "hfield",
     "observations are computed from the state": "mujoco:sensor robot:sensor",
     "for a controller of ROS": "transmission ros2_control self_filter calibration verbose",
     "data for other programs": "custom model_state robot:plugin",
@@ -136,7 +136,7 @@ class Account:
         if root == "robot" and (tag in _LOST or tag not in _URDF) and tag != "texture":
             reason = PASSED.get(f"robot:{tag}", PASSED.get(tag))
             if reason is None or heavy:
-                self.loses(f"<{tag}>: {_LOST.get(tag, 'it is no element of URDF')}", line)
+                self.loses(f"<{tag}>: {_LOST.get(tag, 'it is not an element of URDF')}", line)
                 return True
         reason = PASSED.get(f"{root}:{tag}", PASSED.get(tag))
         if reason is not None:
@@ -154,7 +154,7 @@ class Account:
                 elif key in {"version", "type"} or key.startswith("{"):
                     self.passes(f"{key} of <{tag}>", "data for other programs")
                 else:
-                    self.loses(f"{key} of <{tag}>: it is no attribute of URDF", line)
+                    self.loses(f"{key} of <{tag}>: it is not an attribute of URDF", line)
             elif root == "mujoco" and f"{tag} {key}" in _LOST and element.get(key) != "fixed":
                 self.loses(f"{key} of <{tag}>: {_LOST[f'{tag} {key}']}", line)
             elif root == "mujoco" and (

@@ -543,7 +543,7 @@ class Mounts:
         else:
             axes = np.array(camera.rotation)
             if np.abs(axes.T @ axes - np.eye(3)).max() > _TURN or np.linalg.det(axes) < 0.0:
-                message = f"{'.'.join(key)}.rotation: it is no rotation"
+                message = f"{'.'.join(key)}.rotation: it is not a rotation"
                 fix = "give rows of length 1, square to each other, of a right-handed frame"
                 raise self.robot.fault((*key, "rotation"), message, fix)
         position, fovy = np.array(camera.position), math.radians(camera.fovy)

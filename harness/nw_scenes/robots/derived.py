@@ -368,7 +368,7 @@ class _Derivation(CompiledRobot):
             elif kind != mujoco.mjtJoint.mjJNT_FREE:
                 name = model.joint(joint).name
                 raise self.folder.fault(
-                    f"joint {name!r} is no hinge; only these are driven",
+                    f"joint {name!r} is not a hinge; only hinges are driven",
                     "weld it: remove the joint",
                     self.folder.line_of(name, "joint"),
                 )

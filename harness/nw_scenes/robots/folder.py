@@ -158,7 +158,9 @@ class Eye(_Part):
     @model_validator(mode="after")
     def _one_view(self) -> Eye:
         if self.intrinsics is not None and "fovy" in self.model_fields_set:
-            raise ValueError("`fovy` and `intrinsics` both say what it sees; remove one of them")
+            raise ValueError(
+                "`fovy` and `intrinsics` both set the field of view; remove one of them"
+            )
         return self
 
 
@@ -577,10 +579,10 @@ class _Reader:
         """
         shapes = [e.tag for g in element.findall("geometry") for e in g if e.tag not in SHAPES]
         if shapes and element.tag == "collision":
-            message = f"<{shapes[0]}> is no shape of a URDF"
+            message = f"<{shapes[0]}> is not a URDF shape"
             raise self.fault(message, f"use one of {', '.join(SHAPES)}", self.lines[element])
         if shapes:
-            self.notes.append(f"a <visual> is not drawn: <{shapes[0]}> is no shape of a URDF")
+            self.notes.append(f"a <visual> is not drawn: <{shapes[0]}> is not a URDF shape")
         return not shapes
 
     def _check_size(self, element: Element, key: str, value: str) -> None:
@@ -781,6 +783,6 @@ def triangles(content: bytes, suffix: str) -> tuple[Array, npt.NDArray[np.int64]
         message = f"it cannot be read: {type(error).__name__}"
         raise ValueError(message) from None
     if not len(faces) or not np.isfinite(vertices).all() or np.abs(vertices).max() > _FARTHEST:
-        message = "it has no faces, or numbers that are no lengths in metres"
+        message = "it has no faces, or numbers that are not lengths in metres"
         raise ValueError(message)
     return vertices, faces

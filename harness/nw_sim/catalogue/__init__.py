@@ -338,7 +338,7 @@ def plugged_ladder(name: str) -> FolderLadder:
     value = imported(LADDERS, name)
     if not isinstance(value, str | Path) or not is_ladder(Path(value)):
         raise PluginError(
-            f"{subject(installed(LADDERS)[name][0])} is no folder with a {LADDER_FILE}",
+            f"{subject(installed(LADDERS)[name][0])} is not a folder with a {LADDER_FILE}",
             fix=f"the entry point {name!r} must name the path of one",
         )
     return load_ladder(Path(value))

@@ -193,9 +193,7 @@ def input_findings(card: Card, ranges: list[Range], recording: Recording) -> lis
             f"`{name}` holds {plural(count, 'zero')} instead of what the checkpoint was trained on"
         )
         if rests and not is_told:
-            text += (
-                ", and it does not go on: name the term that tells it where to, such as `command`"
-            )
+            text += ", and it does not move ahead: name the term with its goal, such as `command`"
         kind = "fault" if rests and not is_told else "note"
         findings.append(ProbeFinding(kind=kind, text=text))
     return findings
@@ -522,7 +520,7 @@ def _others(
         return [ProbeFinding(kind="fault" if is_fault else "note", text=text), *cut]
     if cut or not is_bad:
         return cut
-    nearest = "none comes nearer than the card as it is"
+    nearest = "none is better than the card"
     if best is not None:
         nearest = f"the nearest, with {best.hypothesis.words}: {best.figures}"
     return [ProbeFinding(kind="note", text=f"none of the changes tried helps: {TRIED}; {nearest}")]

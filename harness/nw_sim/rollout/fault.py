@@ -87,7 +87,7 @@ class extension_at_fault:  # noqa: N801 - as `policy_at_fault`.
     ) -> None:
         if error is not None and not is_interrupt(error) and fault_of(error) is not None:
             raise ExtensionFailedError(
-                f"a score, task or perturbation raised {one_line(error)}", fix="mend its code"
+                f"a score, task or perturbation raised {one_line(error)}", fix="fix its code"
             ) from error
 
 

@@ -162,7 +162,7 @@ class PluginSensor(Measurement):
             return sample.copy()  # It may write the next sample into the same array.
         raise CodeError(
             f"`{self._name}`: sensor {self._sensor} returned {form}",
-            fix=f"it says that it returns {self.shape} {self.dtype}",
+            fix=f"it declares that it returns {self.shape} {self.dtype}",
         )
 
     def state(self) -> Arrays:

@@ -193,7 +193,7 @@ def _plugin(kind: str) -> type[Task]:
         PluginError: its package is broken, or the class is no task.
     """
     if kind not in installed(TASKS):
-        raise UsageError(f"{kind!r} is no kind of task", fix=nearest(kind, task_kinds()))
+        raise UsageError(f"{kind!r} is not a kind of task", fix=nearest(kind, task_kinds()))
     cls: Any = load_class(TASKS, kind, Task, lambda cls: getattr(cls, "kind", None))
     settings = getattr(cls, "settings", None)
     if not (isinstance(settings, type) and issubclass(settings, TaskSettings)):

@@ -126,7 +126,7 @@ def check_order(name: str, given: tuple[float, float]) -> None:
     """
     low, high = given
     if low > high:
-        raise ValueError(f"{name} {low:g} to {high:g} is no range; write the smaller number first")
+        raise ValueError(f"{name} {low:g} to {high:g} is not a range; write the smaller one first")
 
 
 class Command(TaskPart):
@@ -298,10 +298,10 @@ class Commanded(Task):
             text = "".join(_OTHER_WAYS[way] for way in ("speed", "way") if way in hears)
             return TaskFault(
                 ("command",),
-                f"the policy cannot be told {' and '.join(sorted(unheard, key=_PARTS.index))}: its "
-                f"card has no term `command`{text}",
-                f"give {cls.kind} a policy that follows velocity commands, or command only what "
-                "this one is told",
+                f"the policy does not observe {' and '.join(sorted(unheard, key=_PARTS.index))}: "
+                f"its card has no term `command`{text}",
+                f"give {cls.kind} a policy that follows velocity commands, or give only commands "
+                "that this one observes",
             )
         if not parts and "way" in hears and len(hears) == 1:
             return TaskFault(

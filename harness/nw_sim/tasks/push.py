@@ -72,7 +72,7 @@ class DrawnImpulses(TaskPart):
         for name in ("size", "direction", "at"):
             check_order(name, getattr(self, name))
         if self.at[0] < 0.0:
-            raise ValueError(f"at {self.at[0]:g} s lies before the start; give 0 or more")
+            raise ValueError(f"at {self.at[0]:g} s is before the start; give 0 or more")
         return self
 
 

@@ -34,7 +34,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"nw-splat {__version__}")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="COMMAND")
-    info = verbs.add_parser("info", help="say what a file holds")
+    info = verbs.add_parser("info", help="show the contents of a file")
     convert = verbs.add_parser("convert", help="write Gaussians as another file")
     render = verbs.add_parser("render", help="draw a still (.png), or a turn (.gif, .mp4)")
     for verb in (info, convert, render):

@@ -140,7 +140,7 @@ def _system(path: Path, records: bytes) -> tuple[str, list[str]]:
         at += 8 + size
         if at > len(records):
             raise SceneError(
-                f"{path}: record {kind:#x} of an extension says {size} bytes", fix=_BROKEN
+                f"{path}: record {kind:#x} of an extension claims {size} bytes", fix=_BROKEN
             )
         if kind == _AXES_RECORD:
             (number,) = struct.unpack_from("<I", records, at - size) if size >= 4 else (-1,)
@@ -228,7 +228,7 @@ def _check_header(path: Path, raw: bytes, *, versions: range) -> _Header:
         )
     if degree >= len(_COUNTS) or bits > 23 or count == 0:
         raise SceneError(
-            f"{path}: SPZ header says degree {degree}, {bits} fraction bits, {count} Gaussians",
+            f"{path}: the SPZ header has degree {degree}, {bits} fraction bits, {count} Gaussians",
             fix=_BROKEN,
         )
     spare = raw[15:16] if version < 4 else raw[20:32]  # Zeros, as the format says.

@@ -210,7 +210,7 @@ def scale_lines(facts: SourceFacts | None, options: AlignOptions, scene: Path) -
     if given:
         return [f"scale: by {line}" for line in given] + [f"scale: {line}" for line in could]
     return [
-        "scale: nothing gives one: no tag, GPS or metric poses were found, and no option says one"
+        "scale: nothing gives one: no tag, GPS or metric poses were found, and no option gives one"
         if not could
         else "scale: nothing gives one yet",
         *(f"scale: {line}" for line in could),

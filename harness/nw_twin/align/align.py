@@ -377,7 +377,7 @@ def _point(
     for name in where:
         if name not in shots:
             raise UsageError(
-                f"a point was picked in {name!r}, which is no shot of the capture",
+                f"a point was picked in {name!r}, which is not a shot of the capture",
                 fix=nearest(name, shots),
             )
     chosen = [shots[name] for name in where]
@@ -536,7 +536,7 @@ def _positions(
 def _known(options: AlignOptions, positions: PositionFit | None) -> list[KnownUp]:
     known: list[KnownUp] = []
     if options.up is not None:
-        reason = f"{options.up} is up, as their source says"
+        reason = f"{options.up} is up, by their source"
         up = _axis(options.up)
         known.append(KnownUp(name="poses", up=up, sigma=_SOURCE, right=0.98, reason=reason))
     if positions is not None and options.positions_up is not None:

@@ -118,7 +118,7 @@ def check_inside(name: str, pixel: Pixel, size: tuple[int, int]) -> None:
     """
     if not (0 <= pixel[0] <= size[0] and 0 <= pixel[1] <= size[1]):
         raise UsageError(
-            f"{words_of({name: pixel})} lies outside of the photograph, which has {size[0]} x "
+            f"{words_of({name: pixel})} is outside the photograph, which has {size[0]} x "
             f"{size[1]} pixels",
             fix="count pixels from its top left corner, in the photograph as it was taken",
         )
@@ -333,7 +333,7 @@ def read_alignment(path: Path) -> Alignment:
     except NwEvalError:
         raise
     except (OSError, ValueError) as error:
-        raise SceneError(f"{path} is no alignment: {first_problem(error)}", fix=_FIX) from None
+        raise SceneError(f"{path} is not an alignment: {first_problem(error)}", fix=_FIX) from None
     T = np.array(file.T_metric_capture)
     scale = check_similarity(T, str(path))
     if abs(scale / file.scale - 1.0) > 1e-6 or (T[3] != [0, 0, 0, 1]).any():

@@ -348,7 +348,7 @@ class Build:
             self._say(f"check: {finding}")
         suite, wrong = shlex.quote(str(self.folder.scene / SUITE)), has_errors(findings)
         if wrong:
-            self._say(f"check: mend the errors, then: nw-eval run {suite}")
+            self._say(f"check: fix the errors, then: nw-eval run {suite}")
         else:
             self._say(f"check: ready: nw-eval run {suite}")
         return not wrong

@@ -124,8 +124,8 @@ _LEAST_POINTS = 20
 _TURNED = 0.95
 """Share of the matching pairs without parallax at which there is no place to be found."""
 _FIX = (
-    "photograph again, in enough light: hold still, go on so that each picture shares two thirds "
-    "with the one before, and keep something with texture in view"
+    "photograph again, in enough light: hold still, move so that each picture shares two thirds "
+    "with the previous one, and keep something with texture in view"
 )
 
 BLURRED, PLAIN, DARK = "blurred", "no texture", "too dark"

@@ -83,7 +83,7 @@ _FIELDS = {
 }
 """Of each kind of file, what cameras are made of."""
 _PASSED = {
-    "depth is measured anew": "depth_file_path ply_file_path integer_depth_scale center_depth "
+    "depth is measured again": "depth_file_path ply_file_path integer_depth_scale center_depth "
     "dw dh",
     "ranges of another renderer": "aabb_scale scale offset render_aabb aabb projectionMatrix",
     "splits of another trainer": "train_filenames val_filenames test_filenames",
@@ -218,7 +218,7 @@ def _array(value: Any, shape: tuple[int, int], what: str) -> NDArray[np.float64]
     except (TypeError, ValueError, OverflowError):
         array = np.zeros(0)
     if array.shape != shape or not np.isfinite(array).all():
-        raise SceneError(f"{what} is no finite matrix of shape {shape}", fix=_FIX)
+        raise SceneError(f"{what} is not a finite matrix of shape {shape}", fix=_FIX)
     return array
 
 
@@ -287,7 +287,7 @@ def _unlike(values: dict[str, Any], lens: Lens | None, where: str) -> Iterator[s
         other = 0.5 * lens.width / math.tan(0.5 * angle)
         if abs(other / lens.params[0] - 1.0) > _SAME_FOCAL:
             yield (
-                f"{where} says fl_x {lens.params[0]:.5g}, and by camera_angle_x {other:.5g}: "
+                f"{where} has fl_x {lens.params[0]:.5g}, and by camera_angle_x {other:.5g}: "
                 "fl_x is used"
             )
     if lens.model == "OPENCV_FISHEYE":

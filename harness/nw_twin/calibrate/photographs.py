@@ -163,7 +163,7 @@ def _why(path: Path, error: Exception) -> str:
     if path.suffix.lower() in _HEIC and find_spec("pillow_heif") is None:
         return f"{kind} needs the package pillow-heif: pip install 'nw-eval[twin]'"
     if isinstance(error, Image.DecompressionBombError):
-        return f"over {MOST_MEGAPIXELS} million pixels, which none may have: make it smaller"
+        return f"over {MOST_MEGAPIXELS} million pixels, too many: make it smaller"
     if isinstance(error, UnidentifiedImageError):
         return f"no {KINDS}, or damaged"
     if "PngImagePlugin" in str(error):
@@ -184,7 +184,7 @@ def _take_in(
         warnings.simplefilter("ignore")  # Of damaged EXIF, which then says nothing.
         with open_picture(path) as image:
             if min(image.size) < max(_LEAST_SIDE, max(image.size) / _LONGEST):
-                raise ValueError(f"{image.width} x {image.height} pixels are no photograph")
+                raise ValueError(f"{image.width} x {image.height} pixels are not a photograph")
             if image.width * image.height > megapixels * 1e6:
                 raise ValueError(
                     f"{image.width * image.height / 1e6:.3g} million pixels, of "
@@ -193,7 +193,7 @@ def _take_in(
             if image.mode.startswith(("I", "F")):
                 raise ValueError(f"its grey values are {image.mode}; save it with 8 bits")
             if b"equirectangular" in _xmp(image):
-                raise ValueError("a panorama, as its XMP says: cut it into flat pictures")
+                raise ValueError("a panorama, by its XMP: cut it into flat pictures")
             image.load()
             turned = _is_to_turn(image, lens)
             jpeg = image.format in {"JPEG", "MPO"}  # A phone's JPEG with a depth map is an MPO.

@@ -42,7 +42,7 @@ class Photo:
         if self.rgb.dtype != np.uint8 or self.rgb.shape != (*size, 3):
             raise UsageError(
                 f"{self.name}: the picture is {self.rgb.dtype} of shape {self.rgb.shape}",
-                fix=f"give uint8 of shape {(*size, 3)}, as its camera says",
+                fix=f"give uint8 of shape {(*size, 3)}, as its camera has",
             )
         for name in ("inverse_depth", "confidence", "mask"):
             array = getattr(self, name)

@@ -264,7 +264,7 @@ Propose = Callable[[TriangleMesh, NDArray[np.float64]], CourseProposal]
 """Proposes a course on a mesh (world, m) along places where somebody walked, (N, 3)."""
 
 NEEDS_SCALE = (
-    "put two markers at points whose distance you know, type it, and scale; or say the file's unit"
+    "put two markers at points whose distance you know, type it, and scale; or set the file's unit"
 )
 """What to do about a scene that is not to scale."""
 

@@ -174,7 +174,7 @@ def _levelling(
             f"the side on which the mesh lies, {abs(rise) * scale:.2f} m off the floor in the mean,"
         )
     if flip:
-        up, why = -up, "the other side, as --flip says"
+        up, why = -up, "the other side, as with --flip"
     R = np.eye(4)
     R[:3, :3] = turn_to_z(up)
     level = R @ T_scaled

@@ -376,7 +376,7 @@ def _upright(
             fault = f"{lines[-1]}, against glTF's {up}; give --up {by_faces}, or --up {up}"
     room = room_of(corners, _axis(up))
     if painted.unit not in (None, unit):
-        lines.append(f"the file says that its unit is {painted.unit}, and it is read as {unit}")
+        lines.append(f"the file gives its unit as {painted.unit}, and it is read as {unit}")
     if room is not None and not _ROOMS[0] <= scale * room.height <= _ROOMS[1]:
         lines.append(
             f"a ceiling is {scale * room.height:.2f} m above the floor: if that is a room, its "

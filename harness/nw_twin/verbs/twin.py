@@ -288,7 +288,7 @@ class LabelScene:
                 _say_label(f"{folder} is not to scale: {NEEDS_SCALE}")
             _say_label(f"{folder} is at {page.url}: open that in a browser; Ctrl-C ends it")
             if self.open:
-                from nw_eval.cli.terminal.last_words import show_address
+                from nw_eval.cli.terminal.final_output import show_address
 
                 show_address(page.url)
             stop.wait()

@@ -187,7 +187,7 @@ def test_one_worker_and_two_end_with_the_same_rows_and_the_same_verdict():
     assert more.verdict.against.trials == one.verdict.against.trials
 
 
-def test_a_run_that_was_interrupted_goes_on_and_ends_with_the_same_trial():
+def test_a_run_that_was_interrupted_continues_and_ends_with_the_same_trial():
     whole = against("whole-run")
     cut = against("cut", ears=Ears(trials=1))
     assert (cut.interrupted, cut.info.stop) == (True, None)
@@ -219,7 +219,7 @@ def test_what_a_drop_is_due_to_is_found_in_the_very_trials_of_the_run():
         api.run(resume=first.out / "old-control-old-sight" / "run")
 
 
-def test_a_run_that_was_killed_goes_on_elsewhere_without_the_baseline_and_ends_with_the_same_trial(
+def test_a_killed_run_continues_elsewhere_without_the_baseline_and_ends_with_the_same_trial(
     project, tmp_path, monkeypatch
 ):
     whole = against("whole-run")
@@ -337,7 +337,7 @@ def test_a_baseline_that_claims_to_be_the_candidates_own_is_invalid_once_a_start
         named = r"scene hurdles/\S+ start [0-3]: (success 0\S*, the baseline's 1.0|bits \w{16}, )"
         assert re.search(named, text)
     else:
-        assert "the same bits, other results" in text
+        assert "the same actions, other results" in text
 
 
 def test_starts_that_run_again_are_drawn_when_the_run_begins_and_no_file_says_which():
@@ -577,7 +577,7 @@ def test_a_baseline_that_claims_too_much_of_a_machine_with_other_bits_convicts_n
     )
 
 
-def test_ctrl_c_while_the_baseline_s_policy_runs_leaves_a_run_that_goes_on(monkeypatch):
+def test_ctrl_c_while_the_baseline_s_policy_runs_leaves_a_run_that_continues(monkeypatch):
     forged(elsewhere)
     with monkeypatch.context() as patch:
         patch.setattr(Attempts, "settle", lambda *_: os.kill(os.getpid(), signal.SIGINT))
@@ -590,7 +590,7 @@ def test_ctrl_c_while_the_baseline_s_policy_runs_leaves_a_run_that_goes_on(monke
 
 
 @pytest.mark.nightly
-def test_ctrl_c_while_more_of_the_control_runs_stops_both_and_both_go_on():
+def test_ctrl_c_while_more_of_the_control_runs_stops_both_and_both_continue():
     # More pairs than run of the control at first, and so sure a gate that all of them are needed.
     Path("quick.yaml").write_text(
         SUITE.replace("trials: 4", "trials: 12")
@@ -649,7 +649,7 @@ def test_on_a_machine_type_that_the_baseline_has_not_seen_its_own_policy_runs_an
         assert "its trials are compared with the baseline's like those of a new policy" in said
 
 
-def test_a_small_baseline_is_no_measure_of_a_machine_with_other_bits_and_the_run_is_invalid():
+def test_a_small_baseline_cannot_check_a_machine_with_other_results_and_the_run_is_invalid():
     Path("quick.yaml").write_text(SUITE.replace(" least_starts: 1,", ""))
     forged(lambda baseline: elsewhere(other_ways(baseline)))
     judged = against(policy=None)
@@ -680,7 +680,7 @@ def test_the_same_bits_with_other_results_make_the_run_invalid(capsys):
     out = " ".join(capsys.readouterr().out.split())
     assert "INVALID" in out
     assert "REGRESSED" not in out
-    assert "go1-parkour does: the same bits, other results" in out
+    assert "go1-parkour does: the same actions, other results" in out
     assert "the baseline's 1.0" in out
     assert not (Path("run") / "mcap" / "hurdles").exists(), "no trial of the candidate"
     assert api.report("run").exit_code == 5
@@ -868,7 +868,7 @@ def test_parts_of_machines_with_different_bits_and_parts_without_their_control_a
     # Some bits of the baseline's policy are as elsewhere, and those of one machine are not.
     sha256 = two.info.baseline.sha256
     mixed = saved(alike, "mixed", sha256=sha256)
-    with pytest.raises(IncomparableError, match=r"^not of one run: the baseline's policy repeats"):
+    with pytest.raises(IncomparableError, match=r"^not of one run: the baseline's policy repro"):
         api.merge([mixed, two.folder], out="merged")
     early = saved(one, "early", checked=None)
     with pytest.raises(IncomparableError, match=r"early \(part 1 of 2\) ended before the baseline"):

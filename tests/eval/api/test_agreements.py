@@ -142,8 +142,8 @@ def test_the_terminal_has_the_figures_beside_a_perfect_simulators(baselines, tmp
         ("policy,scene,success\n", "lacks the column trials; write a heading"),
         (HEADING, "has no results"),
         ("", "lacks the column policy"),
-        (HEADING + "p0,hurdles/a,0,0.5\n", r"real\.csv:2:1: trials '0' is no whole number"),
-        (HEADING + "p0,hurdles/a,ten,0.5\n", "trials 'ten' is no whole number"),
+        (HEADING + "p0,hurdles/a,0,0.5\n", r"real\.csv:2:1: trials '0' is not a whole number"),
+        (HEADING + "p0,hurdles/a,ten,0.5\n", "trials 'ten' is not a whole number"),
         (HEADING + "p0,hurdles/a,10,nan\n", "success 'nan' is not between 0 and 1"),
         (HEADING + "p0,hurdles/a,10,75\n", "success '75' is not between 0 and 1"),
         (HEADING + "p0,hurdles/a,10\n", "success '' is not between 0 and 1"),
@@ -152,10 +152,10 @@ def test_the_terminal_has_the_figures_beside_a_perfect_simulators(baselines, tmp
         (HEADING + "q,hurdles/a,10,1\n", r"csv:2: policy 'q' is that of no run; known: p0, "),
         (HEADING + "walker,hurdles/a,10,1\n", r"policy 'walker' may be .*p0.* or .*p1"),
         (HEADING + "p0,hurdles/c,10,1\n", r"p0\.parquet has no result in scene 'hurdles/c'; did"),
-        (HEADING + 'p0,"hurdles/a,10,1\n', "is no CSV"),
+        (HEADING + 'p0,"hurdles/a,10,1\n', "is not a CSV"),
         (HEADING + "p0,hurdles/a,10,0,8\n", r"csv has more cells in line 2 than in its heading"),
-        (HEADING + "p0,hurdles/a,10.5,0.8\n", r"trials '10\.5' is no whole number"),
-        (HEADING.replace(",", ";") + "p0;hurdles/a;1.000;0,8\n", r"trials '1\.000' is no whole"),
+        (HEADING + "p0,hurdles/a,10.5,0.8\n", r"trials '10\.5' is not a whole number"),
+        (HEADING.replace(",", ";") + "p0;hurdles/a;1.000;0,8\n", r"trials '1\.000' is not a whole"),
         ("policy,scene,trials,success,Success\n", "has success twice"),
     ],
 )
@@ -164,10 +164,10 @@ def test_a_csv_that_cannot_be_used_is_named_with_its_line(baselines, tmp_path, t
         nw_eval.sim2real(csv(tmp_path, text), baselines)
 
 
-def test_a_csv_that_is_none_and_runs_that_are_none_are_usage(baselines, tmp_path):
+def test_an_invalid_csv_and_invalid_runs_are_usage_errors(baselines, tmp_path):
     with pytest.raises(UsageError, match=r"cannot read .*nowhere"):
         nw_eval.sim2real(tmp_path / "nowhere.csv", baselines)
-    with pytest.raises(UsageError, match="is no CSV"):
+    with pytest.raises(UsageError, match="is not a CSV"):
         nw_eval.sim2real(baselines[0], baselines)
     with pytest.raises(UsageError, match="no run to compare the robot with"):
         nw_eval.sim2real(csv(tmp_path, HEADING), [])
@@ -282,8 +282,8 @@ def test_five_limits_are_ranked_as_success_is(limits, tmp_path, capsys):
         ("policy,limit\n", "lacks the column ladder"),
         ("policy,ladder,limit\n", "has no results"),
         ("policy,ladder,limit\np1,bars,\n", r"real\.csv:2:1: it has no limit"),
-        ("policy,ladder,limit\np1,bars,high\n", "limit 'high' is no number"),
-        ("policy,ladder,limit\np1,bars,inf\n", "limit 'inf' is no number"),
+        ("policy,ladder,limit\np1,bars,high\n", "limit 'high' is not a number"),
+        ("policy,ladder,limit\np1,bars,inf\n", "limit 'inf' is not a number"),
         ("policy,ladder,limit\n,bars,0.2\n", "it names no policy or no ladder"),
         ("policy,ladder,limit\n" + 2 * "p1,bars,0.2\n", r"csv:3:1: policy 'p1' on ladder 'bars'"),
         ("policy,ladder,limit\np9,bars,0.2\n", r"csv:2: policy 'p9' has no limit in the simul"),
@@ -321,7 +321,7 @@ def test_limits_are_not_mixed_with_runs_scores_or_each_other(limits, baselines, 
         ('{"nw-limits": 1, "limits": [{"policy": "p", "ladder": "b"}]}', "lacks 'limit'"),
     ],
 )
-def test_damaged_limits_are_named_with_what_makes_them_anew(limits, tmp_path, text, message):
+def test_damaged_limits_are_named_with_how_to_renew_them(limits, tmp_path, text, message):
     (limits / "limits.json").write_text(text, encoding="utf-8")
     real = csv(tmp_path, "policy,ladder,limit\np1,bars,0.2\n")
     with pytest.raises(StoreError, match=message):

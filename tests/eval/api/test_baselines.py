@@ -56,7 +56,7 @@ def project(first_save, tmp_path, monkeypatch):
 
 
 def work():
-    (folder,) = Path("reports").glob("bank-quick-*")
+    (folder,) = Path("reports").glob("baseline-quick-*")
     return folder
 
 
@@ -89,11 +89,11 @@ def test_saving_again_runs_nothing_and_leaves_the_file_as_it_is(project):
     shutil.rmtree(work())
     saved = api.save_baseline("quick.yaml")
     assert (saved.action, file.read_bytes()) == ("unchanged", before)
-    assert not list(Path("reports").glob("bank-quick-*"))
+    assert not list(Path("reports").glob("baseline-quick-*"))
 
 
 @pytest.mark.usefixtures("project")
-def test_a_save_that_was_interrupted_goes_on_where_it_was_and_saves_the_same_baseline():
+def test_a_save_that_was_interrupted_continues_where_it_was_and_saves_the_same_baseline():
     class Impatient(NullListener):
         def trial(self, row):  # noqa: ARG002  # The first one is enough.
             os.kill(os.getpid(), signal.SIGINT)
@@ -114,7 +114,7 @@ def test_a_save_that_was_interrupted_goes_on_where_it_was_and_saves_the_same_bas
 
 
 @pytest.mark.usefixtures("project")
-def test_a_save_says_how_long_it_takes_and_after_ctrl_c_goes_on_with_the_same_command(
+def test_a_save_says_how_long_it_takes_and_after_ctrl_c_continues_with_the_same_command(
     capsys, monkeypatch
 ):
     file = Path("reports/baselines/quick/stand.parquet")
@@ -275,7 +275,7 @@ def test_two_baselines_are_compared_scene_by_scene(capsys):
     ("options", "sentence"),
     [
         ({"run": "there", "trials": 3}, "--run and --trials: the run has decided that"),
-        ({"name": "a/b"}, "a baseline's name: 'a/b' is no name"),
+        ({"name": "a/b"}, "a baseline's name: 'a/b' is not a name"),
         ({"trials": 0}, "--trials 0 is too low; give at least 1"),
         ({"run": "nowhere"}, "nowhere is not the folder of a run"),
     ],

@@ -136,7 +136,7 @@ def test_a_result_that_was_tampered_with_is_found_and_no_result_is_believed(fill
 
 @pytest.mark.usefixtures("forged")
 def test_a_baseline_is_not_saved_of_results_that_differ(place):
-    with pytest.raises(TrialError, match=r"came out otherwise .*; remove reports/bank-tiny-"):
+    with pytest.raises(TrialError, match=r"has another result .*; remove reports/baseline-tiny-"):
         api.save_baseline("tiny.yaml", trials=1, workers=1)
     assert not (place / "reports" / "baselines").exists()
 
@@ -285,7 +285,7 @@ def test_a_cache_of_no_size_keeps_nothing(place, monkeypatch):
     assert known.info.off == "NW_EVAL_CACHE_GB=0"
 
 
-def test_a_size_that_is_none_is_refused_before_anything_is_written(place, monkeypatch):
+def test_an_invalid_size_is_refused_before_anything_is_written(place, monkeypatch):
     monkeypatch.setenv("NW_EVAL_CACHE_GB", "much")
     with pytest.raises(UsageError, match="NW_EVAL_CACHE_GB is 'much'; give a size in GB"):
         api.run("tiny.yaml", out=place / "unbegun")

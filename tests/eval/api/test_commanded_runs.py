@@ -180,14 +180,14 @@ def test_a_report_of_a_task_without_waypoints_speaks_of_none(folder):
     assert "The log of" not in html
 
 
-def test_what_does_not_fit_the_policy_is_told_at_its_line(folder):
+def test_what_does_not_fit_the_policy_is_reported_at_its_line(folder):
     text = SUITE.replace("stand", "go1-parkour") + VELOCITY
     with pytest.raises(SuiteError) as caught:
         ran(folder, text)
     assert str(caught.value) == (
-        f"{folder}/told.yaml:12:3: task.command: the policy cannot be told yaw: its card has no "
+        f"{folder}/told.yaml:12:3: task.command: the policy does not observe yaw: its card has no "
         "term `command`, its speed is the forward one, it turns towards waypoints; give velocity "
-        "a policy that follows velocity commands, or command only what this one is told"
+        "a policy that follows velocity commands, or give only commands that this one observes"
     )
     late = SUITE + PUSH.replace("[0.4, 0.8]", "[0.4, 1.8]")
     with pytest.raises(SuiteError, match=r"told\.yaml:12:3: task\.draw: the last push may begin"):
@@ -204,7 +204,7 @@ def test_what_does_not_fit_the_policy_is_told_at_its_line(folder):
         ("kind: push\n  impulses: [{at: 1, size: no}]", "12:22: task.impulses.0.size: "),
     ],
 )
-def test_a_mistake_is_told_with_line_and_column(folder, wrong, said):
+def test_a_mistake_is_reported_with_line_and_column(folder, wrong, said):
     path = folder / "told.yaml"
     path.write_text(f"{SUITE}task:\n  {wrong}\n")
     with pytest.raises(SuiteError) as caught:

@@ -31,7 +31,7 @@ SCENE, DIGEST, STARTS = "flat/room", "dd" * 32, 3
 
 @pytest.fixture(scope="module")
 def reports(tmp_path_factory):
-    """A folder with two runs on the same starts, one on others, and a better policy's baseline."""
+    """A folder: two runs on the same initial states, one on others, a better policy's baseline."""
     folder = tmp_path_factory.mktemp("reports")
     info = save_run(folder / "a", seed=7)
     save_run(folder / "b", seed=7)

@@ -241,7 +241,7 @@ def test_without_a_baseline_a_drop_is_not_judged_and_the_reason_says_so(tmp_path
         ("stairs/up: {at_least: 9}", "at_least 9 m is beyond the hardest rung"),
         (
             "open/field+turn_rate: {max_drop: 0.2}",
-            r"open/field\+turn_rate: the policy cannot be told yaw",
+            r"open/field\+turn_rate: the policy does not observe yaw",
         ),
         ("stairs/up: {max_drop: 0.04, trials: 4}", "4 trials cannot decide .* needs 5 at least"),
         ("stairs/up: {}", "neither at_least nor max_drop is set"),

@@ -264,7 +264,7 @@ def test_what_cannot_be_climbed_is_said_before_anything_runs(tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SceneError, match=r"no ladder 'stairs/upp'.* did you mean 'stairs/up'"):
         api.limits(["stairs/upp"], policy="stand")
-    with pytest.raises(SuiteError, match=r"open/field\+turn_rate.* cannot be told yaw"):
+    with pytest.raises(SuiteError, match=r"open/field\+turn_rate.* does not observe yaw"):
         api.limits(["open/field+turn_rate"], policy="go1-parkour")
     with pytest.raises(UsageError, match="share 1 is not between 0 and 1"):
         api.limits(["stairs/up"], policy="stand", share=1.0)

@@ -264,7 +264,7 @@ def test_logs_are_linked_and_what_is_not_there_is_said(logged, tmp_path):
     lost.unlink()
     short.write_bytes(LOG[:-1])
     merged = api.merge(logged, out=tmp_path / "merged")
-    assert "2 logs not there, or not of the size that its row says: " in merged.verdict.reasons[-1]
+    assert "2 logs missing, or not of the size in its row: " in merged.verdict.reasons[-1]
     logs = list(merged.folder.rglob("*.mcap"))
     assert len(logs) == 10
     assert all(log.read_bytes() == LOG and log.stat().st_nlink == 2 for log in logs)
@@ -338,7 +338,7 @@ def test_a_damaged_part_is_one_line_or_does_no_harm(name, count, parts, tmp_path
             assert api.merge(parts, out=tmp_path / f"merged-{number}").rows == whole.rows
 
 
-def test_a_folder_that_is_none_or_lies_about_its_plan_is_one_line(parts, written, tmp_path):
+def test_an_invalid_folder_or_a_false_plan_is_one_line(parts, written, tmp_path):
     (tmp_path / "empty").mkdir()
     for folder in (tmp_path / "empty", tmp_path / "nowhere"):
         with pytest.raises(UsageError, match="is not the folder of a run"):

@@ -67,7 +67,7 @@ def test_real_parts_merge_to_the_rows_and_logs_of_the_run(project, monkeypatch):
     assert (more.info.shard, len(more.rows)) == (None, 6)
 
 
-def test_a_part_that_was_cut_short_goes_on_as_the_part_that_it_was(
+def test_a_part_that_was_cut_short_continues_as_the_part_that_it_was(
     project, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
@@ -75,12 +75,12 @@ def test_a_part_that_was_cut_short_goes_on_as_the_part_that_it_was(
     first = run("first", "1/2")
     assert first.folder.name == "first"
     cut(Path("first"))
-    with pytest.raises(IncomparableError, match="as --shard 2/2: it was begun as part 1 of 2"):
+    with pytest.raises(IncomparableError, match="as --shard 2/2: it was started as part 1 of 2"):
         api.run(None, resume=Path("first"), shard="2/2")
     again = api.run(None, resume=Path("first"), in_process=True)
     assert again.info.rows_digest == first.info.rows_digest
     assert str(read_run_info(Path("first/run.json")).shard) == "part 1 of 2"
-    with pytest.raises(IncomparableError, match="as --shard 1/2: it was begun as all of its tri"):
+    with pytest.raises(IncomparableError, match="as --shard 1/2: it was started as all of its tri"):
         api.run(None, resume=project / "whole", shard="1/2")
 
     assert ends("gate", "first") == 2

@@ -161,16 +161,19 @@ def test_a_run_by_another_runtime_is_not_resumed_on_another_kind_of_processor(pr
 @pytest.mark.parametrize(
     ("gate", "said"),
     [
-        ("{success_rate: 0.1}", "gate.success_rate is 0.1, it was begun with 0.3"),
-        ("{success_rate: 0.3, confidence: 0.5}", "gate.confidence is 0.5, it was begun with 0.95"),
-        ("{}", "gate.success_rate is None, it was begun with 0.3"),
+        ("{success_rate: 0.1}", "gate.success_rate is 0.1, it was started with 0.3"),
+        (
+            "{success_rate: 0.3, confidence: 0.5}",
+            "gate.confidence is 0.5, it was started with 0.95",
+        ),
+        ("{}", "gate.success_rate is None, it was started with 0.3"),
         (
             "{success_rate: 0.3, tiers: {'*': informational}}",
             "gate.tiers is {'*': 'informational'}",
         ),
     ],
 )
-def test_a_run_is_not_resumed_to_be_judged_by_other_rules_than_it_was_begun_with(
+def test_a_run_is_not_resumed_to_be_judged_by_other_rules_than_it_was_started_with(
     project, gate, said
 ):
     api.run("quick.yaml", out=project / "run", trials=1)

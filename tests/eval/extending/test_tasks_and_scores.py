@@ -112,7 +112,7 @@ def test_the_task_of_the_page_ends_as_it_says(ahead, ends, steps):
 
 
 @pytest.mark.usefixtures("reach")
-def test_a_task_that_is_restored_goes_on_where_it_was():
+def test_a_task_that_is_restored_continues_where_it_was():
     suite = new_suite({**SETTINGS, "task": {"kind": "reach", "ahead": 2.0}})
     first, second = (open_task(suite.task, TaskRules(duration=0.5)) for _ in range(2))
     first.distance, first.time, first.is_upright = 0.7, 0.48, False
@@ -234,17 +234,17 @@ def test_a_log_says_which_task_it_was():
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"task": "raech"}, "'raech' is no kind of task; did you mean 'reach'"),
+        ({"task": "raech"}, "'raech' is not a kind of task; did you mean 'reach'"),
         ({"task": {"kind": "reach", "ahead": "far"}}, "task.ahead: input should be a valid number"),
         ({"task": {"kind": "reach", "laps": 1}}, "task.laps: extra inputs are not permitted"),
         ({"task": {"kind": "course", "laps": 2}}, "Extra inputs are not permitted"),
         ({"task": 7}, "valid dictionary"),
-        ({"scores": ("max_tlit",)}, "'max_tlit' is no score; did you mean 'max_tilt'"),
-        ({"gate": {"scores": {"max_tlit": {"bar": 1.0}}}}, "'max_tlit' is no score"),
+        ({"scores": ("max_tlit",)}, "'max_tlit' is not a score; did you mean 'max_tilt'"),
+        ({"gate": {"scores": {"max_tlit": {"bar": 1.0}}}}, "'max_tlit' is not a score"),
         ({"gate": {"scores": {"max_tilt": {"bar": 9.0}}}}, "bar 9 is not between 0 and 3.2"),
     ],
 )
-def test_a_mistake_in_a_suite_is_told(settings, said):
+def test_a_mistake_in_a_suite_is_reported(settings, said):
     with pytest.raises(ValidationError, match=re.escape(said)):
         new_suite({**SETTINGS, **settings})
 
@@ -260,7 +260,7 @@ def test_a_mistake_in_a_suite_is_told(settings, said):
         ("mine:Other", "(mine:Other) is the "),
     ],
 )
-def test_a_broken_package_is_told_where_a_suite_names_it(package, group, point, said):
+def test_a_broken_package_is_reported_where_a_suite_names_it(package, group, point, said):
     bases = {TASKS: REACH.replace("Reach(", "Other("), SCORES: TILT.replace("MaxTilt(", "Other(")}
     more = "\nfrom fractions import Fraction\nnumber = 1\n"
     package("broken", group, {"mine": point}, "")
@@ -272,14 +272,14 @@ def test_a_broken_package_is_told_where_a_suite_names_it(package, group, point, 
     assert said in str(caught.value)
 
 
-def test_a_task_without_settings_and_one_that_refuses_are_told(package, reach):  # noqa: ARG001
+def test_a_task_without_settings_and_one_that_refuses_are_reported(package, reach):  # noqa: ARG001
     text = REACH.replace("settings = ReachSettings\n", "settings = dict\n")
     package("reach", TASKS, {"reach": "reach:Reach"}, text)
     with pytest.raises(ValidationError, match=r"plug-in 'reach' of reach .* has no `settings`"):
         new_suite({**SETTINGS, "task": "reach"})
 
 
-def test_a_task_whose_class_takes_something_else_is_told_when_it_is_opened(package):
+def test_a_task_whose_class_takes_something_else_is_reported_when_it_is_opened(package):
     text = REACH.replace("(self, settings, rules)", "(self, settings)")
     package("reach", TASKS, {"reach": "reach:Reach"}, text)
     suite = new_suite({**SETTINGS, "task": "reach"})

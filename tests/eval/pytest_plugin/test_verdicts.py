@@ -43,13 +43,13 @@ def test_a_suite_without_a_gate_passes_once_its_trials_have_run_and_shows_nothin
             "tiny.yaml: RAN *",
             (
                 "SKIPPED [[]1] tiny.yaml:8: not judged: success 0.000, completed 0 of 1 trial; "
-                "the verdict is RAN, which says only that the trials ran"
+                "the verdict is RAN, which means only that the trials ran"
             ),
         ]
     )
 
 
-def test_a_policy_that_fails_is_told_as_verdict_table_and_replay_command(suite, run):
+def test_a_policy_that_fails_is_reported_as_verdict_table_and_replay_command(suite, run):
     suite("suites/tiny.yaml", scenes=[FLAT, HURDLE], trials=4)
     done = run("suites/tiny.yaml", "--nw-report-dir", "out")
     done.assert_outcomes(failed=3)
@@ -100,7 +100,7 @@ def test_junit_has_a_sentence_for_a_message_and_the_figures_as_properties(suite,
     assert (properties["state"], float(properties["success"])) == ("failed", 0.0)
 
 
-def test_scenes_that_convict_together_fail_where_the_verdict_is_no_test(suite, run, folders):
+def test_scenes_that_regress_together_fail_where_the_verdict_is_not_a_test(suite, run, folders):
     suite(scenes=[FLAT, HURDLE, LOGS], trials=2)
     done = run("tiny.yaml", "-v", "-k", "flat or one_low")
     done.assert_outcomes(failed=2, deselected=2)
@@ -244,7 +244,7 @@ def test_what_cannot_be_run_is_an_error_of_every_test_in_a_line(
     assert folders() == []
 
 
-def test_ctrl_c_ends_the_session_and_says_how_the_run_goes_on(
+def test_ctrl_c_ends_the_session_and_says_how_the_run_continues(
     suite, pytester, monkeypatch, folders
 ):
     opened = trial.open_trial
@@ -304,7 +304,7 @@ def test_a_baseline_is_saved_for_a_review_and_passes_once_it_is_there(
 
 
 @pytest.mark.parametrize(("arguments", "cache"), [((), True), (("--nw-no-cache",), False)])
-def test_results_of_earlier_runs_are_taken_over_unless_it_is_told_not_to(
+def test_results_of_earlier_runs_are_reused_unless_that_is_turned_off(
     suite, run, monkeypatch, arguments, cache
 ):
     asked_for, real = [], api.run

@@ -100,16 +100,16 @@ def test_scenes_are_shown_side_by_side_what_fell_first_and_what_does_not_count_l
         ({"claim": "panel", "starts": 40}, "the claim is of these only"),
         ({"basis": "control"}, "its policy ran beside the candidate, from the same initial states"),
         ({"basis": "fresh"}, "the candidate met new ones, and the baseline's mean is of 60"),
-        ({}, "of the scenes that these trials met, some of them easy and some hard by chance"),
+        ({}, "that of the scenes of these trials, some easy and some hard by chance"),
     ],
 )  # fmt: skip
-def test_every_report_says_of_which_starts_it_speaks(page, changes, words, found):
+def test_every_report_names_its_initial_states(page, changes, words, found):
     how_sure = page(replace(found, **changes)).split("## How sure")[1]
     assert words in how_sure.replace("\\", "")
     assert (
         "A drop of 0.1 or more against the baseline passes with probability at most 5 %" in how_sure
     )
-    assert "in no scene by more than 0.1) with probability at most 7 %" in how_sure
+    assert "dropped by at most 0.02, in no scene by more than 0.1." in how_sure
     assert "The verdict is on this checkpoint, not on its training recipe" in how_sure
 
 
@@ -216,7 +216,7 @@ def test_a_worst_trial_says_what_the_baseline_s_policy_did_from_the_same_start(m
     assert "baseline" not in worst_table([fell], Path("x")).columns
 
 
-def test_a_scene_of_which_some_trials_were_compared_says_of_how_many_the_change_is(make_row, found):
+def test_a_partly_compared_scene_names_the_trials_of_its_change(make_row, found):
     rows = [make_row("hurdles/three_low", index, 2) for index in range(8)]
     verdict = judge(rows, Gate(), {"hurdles/three_low": 8}, against=found)
     shown = scenes_table(replace(verdict, against=found))

@@ -26,8 +26,8 @@ def test_ranges_and_lists_are_values(words, values):
     ("words", "message"),
     [
         ("frction=0..1", "there is no axis 'frction'"),
-        ("friction", "'' is no range of values"),
-        ("friction=a..b", "'a..b' is no range of values"),
+        ("friction", "'' is not a range of values"),
+        ("friction=a..b", "'a..b' is not a range of values"),
         ("friction=0.3..1.2:1", "has 1 step;"),
         ("friction=0.3..1.2:999", "has 999 steps"),
         ("friction=0.5", "has one value"),
@@ -37,7 +37,7 @@ def test_ranges_and_lists_are_values(words, values):
         ("latency=1e999,1", "inf: input should be"),
     ],
 )
-def test_what_is_no_axis_is_refused_with_what_to_write(words, message):
+def test_an_invalid_axis_is_refused_with_an_example(words, message):
     with pytest.raises(UsageError) as caught:
         SweptAxis.of(words)
     assert message in str(caught.value)

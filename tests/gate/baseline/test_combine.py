@@ -221,7 +221,7 @@ def test_the_same_bits_with_another_result_are_invalid_on_every_class_of_machine
     elsewhere = run.model_copy(update={"engine": {**run.engine, "cpu": "haswell"}})
     verdict = judged_by(forged, rows, elsewhere, gate)
     assert verdict.verdict == "INVALID"
-    assert "the same bits, other results" in verdict.reasons[0]
+    assert "the same actions, other results" in verdict.reasons[0]
     assert verdict.reasons[1].startswith("scene a start ")
     assert "success 0.5, the baseline's 1.0" in verdict.reasons[1]
     # One trial is enough, among others that went other ways.
@@ -234,7 +234,7 @@ def test_of_another_candidate_a_baseline_that_its_own_policy_contradicted_makes_
     make_run, make_baseline, make_against
 ):
     moved = (
-        "the baseline is not what its own policy does: the same bits, other results",
+        "the baseline is not what its own policy does: the same actions, other results",
         "scene a",
     )
     there = make_run(["a"], 20, drawn_from=60)
@@ -383,7 +383,7 @@ def test_an_open_run_says_about_how_many_more_trials_would_settle_it(
     )
 
 
-def test_a_run_whose_control_has_not_begun_misses_trials_and_is_not_refused(
+def test_a_run_whose_control_has_not_started_misses_trials_and_is_not_refused(
     make_run, make_baseline, make_against
 ):
     there = make_run(["a"], 20, drawn_from=60)

@@ -172,7 +172,7 @@ FOG = {
 IN_VIEW = GATE.model_copy(update={"validity": Validity(distance=0.5, at_most=0.2)})
 
 
-def test_a_trial_that_left_the_captured_volume_is_no_pair(run, beside, drawn_rows):
+def test_a_trial_that_left_the_captured_volume_is_not_a_pair(run, beside, drawn_rows):
     gate = IN_VIEW
     rows = drawn_rows(run, PERFECT)
     gone = [replace(rows[0], **FOG), *rows[1:]]
@@ -268,7 +268,7 @@ def test_the_same_bits_with_another_result_contradict_a_baseline_and_other_bits_
     )
     told = contradictions(control.rows, baseline, replace(baseline.panels[0], starts=starts))
     assert told[0] == (
-        "the baseline is not what its own policy go1-act-rgb does: the same bits, other results"
+        "the baseline is not what its own policy go1-act-rgb does: the same actions, other results"
     )
     assert told[1].startswith(f"scene {first.scene} start {first.seed_index}: success 0.5, ")
     assert len(told) == 2

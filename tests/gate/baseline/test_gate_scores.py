@@ -124,7 +124,7 @@ def test_the_same_cost_passes_bar_and_baseline(judged):
     assert item.interval.low <= 0.92 <= item.interval.high
 
 
-def test_of_a_score_of_which_more_is_better_less_is_a_drop(judged):
+def test_a_lower_value_is_a_drop_of_a_score_that_should_be_high(judged):
     gate = {"scores": {"distance_before_fall": {"max_drop": 4.0}}}
     assert judged(gate, {"distance_before_fall": 9.0}, {"distance_before_fall": 18.0}).verdict == (
         "REGRESSED"
@@ -213,7 +213,7 @@ def test_errors_of_regressed_are_split_over_all_that_is_gated():
 @pytest.mark.parametrize(
     ("scores", "said"),
     [
-        ({"cost": {"bar": 1.0}}, "'cost' is no score; known: action_acceleration"),
+        ({"cost": {"bar": 1.0}}, "'cost' is not a score; known: action_acceleration"),
         ({"success": {"bar": 0.5}}, "success is judged by success_rate and max_drop"),
         ({"mean_power": {}}, "neither bar nor max_drop is set"),
         ({"mean_power": {"bar": 5000.0}}, "mean_power: bar 5000 is not between 0 and 1000"),
@@ -225,7 +225,7 @@ def test_errors_of_regressed_are_split_over_all_that_is_gated():
         ({"foot_slip": {"max_drop": 0.1, "tolerate": 0.2}}, "tolerate 0.2 is over max_drop"),
     ],
 )
-def test_what_cannot_be_gated_is_told(scores, said):
+def test_what_cannot_be_gated_is_reported(scores, said):
     with pytest.raises(ValidationError, match=said):
         Gate(scores=scores)
 

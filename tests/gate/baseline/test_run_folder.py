@@ -162,7 +162,7 @@ def test_the_baseline_that_a_suite_names_is_the_default(make_run, make_baseline,
     assert api.report(folder).verdict.against is None
 
 
-def test_a_report_shows_the_verdict_against_the_baseline_that_the_run_was_begun_with(
+def test_a_report_shows_the_verdict_against_the_baseline_that_the_run_was_started_with(
     run, baseline, drawn_rows, make_baseline
 ):
     keep(baseline)
@@ -193,7 +193,7 @@ def test_a_report_shows_the_verdict_against_the_baseline_that_the_run_was_begun_
 def test_a_baseline_that_its_own_policy_contradicted_makes_a_run_invalid(run, baseline, drawn_rows):
     keep(baseline)
     digest = sha256(BASELINE.read_bytes()).hexdigest()
-    moved = ("the baseline is not what its own policy does: the same bits, other results",)
+    moved = ("the baseline is not what its own policy does: the same actions, other results",)
     info = BaselineInfo(name="shipped", path=str(BASELINE.resolve()), sha256=digest, moved=moved)
     begun = run.model_copy(update={"baseline": info, "stop": StopInfo(first=0)})
     judged = api.report(write_run(begun, drawn_rows(run, {})))

@@ -78,7 +78,7 @@ def test_whole_lines_that_were_cut_off_are_missed_by_either_head(ledger, entries
         read_ledger(ledger, head=head)
 
 
-def test_a_ledger_that_was_written_anew_is_not_the_one_of_its_head(ledger, entries):
+def test_a_ledger_that_was_rewritten_is_not_the_one_of_its_head(ledger, entries):
     anew = ledger.with_name("anew.jsonl")
     for entry in (entries[0], *entries[2:], entries[0]):
         append_entry(anew, entry)
@@ -117,7 +117,7 @@ def test_a_head_that_is_damaged_is_named(ledger):
         read_ledger(ledger)
 
 
-def test_a_first_line_that_was_torn_is_begun_again(tmp_path, entries):
+def test_a_first_line_that_was_torn_is_started_again(tmp_path, entries):
     path = tmp_path / "l.jsonl"
     path.write_bytes(b'{"ledg')
     append_entry(path, entries[0])
@@ -166,7 +166,7 @@ def test_three_hundred_kinds_of_damage_are_never_read_as_other_verdicts(ledger, 
 @pytest.mark.parametrize(
     ("record", "sentence"),
     [
-        ({"row": {}}, "is no ledger"),
+        ({"row": {}}, "is not a ledger"),
         ({"ledger": 2}, "a ledger of version 2, this nw-eval reads 1"),
         (["ledger"], "damaged"),
     ],

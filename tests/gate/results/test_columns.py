@@ -60,7 +60,7 @@ def test_wall_times_are_measured_and_no_simulated_time_is():
     assert not MEASURED & OF_THE_PLAN
 
 
-def test_a_field_that_says_nothing_or_came_later_without_a_default_is_no_column():
+def test_a_field_that_says_nothing_or_came_later_without_a_default_is_not_a_column():
     @dataclass
     class Silent:
         steps: int
@@ -69,9 +69,9 @@ def test_a_field_that_says_nothing_or_came_later_without_a_default_is_no_column(
     class Late:
         steps: Annotated[int, Column("control steps done", added=True)]
 
-    with pytest.raises(TypeError, match="steps of Silent says nothing about its column"):
+    with pytest.raises(TypeError, match="steps of Silent does not describe its column"):
         columns_of(Silent)
-    with pytest.raises(TypeError, match="steps of Late came later, and needs a default"):
+    with pytest.raises(TypeError, match="steps of Late was added later and needs a default"):
         columns_of(Late)
 
 

@@ -254,7 +254,7 @@ def cli_exit(arguments, code=0):
         ({"robot": "go1", "topics": ["joints=/odom"]}, "not joints"),
         ({"robot": "go1", "topics": ["feet=/odom"]}, "--topic feet="),
         ({"robot": "go1", "topics": ["/odom"]}, "--topic /odom"),
-        ({"robot": "go1", "scores": ["nothing"]}, "'nothing' is no score"),
+        ({"robot": "go1", "scores": ["nothing"]}, "'nothing' is not a score"),
     ],
 )
 def test_what_cannot_be_meant_is_named(bag, more, message):

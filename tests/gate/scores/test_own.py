@@ -116,7 +116,7 @@ def test_each_reading_is_in_its_unit(reading, readings, value):
         assert score.value(END) == kept
 
 
-def test_a_trial_that_is_continued_goes_on_counting():
+def test_a_resumed_trial_keeps_counting():
     torques = np.full((20, 4, 3), 25.0)
     whole = opened(reading="torque", at_most=20.0, longer_than=0.5)
     whole.update(Stretch(FIGURES, torques=torques))
@@ -143,7 +143,7 @@ def test_a_score_that_is_undefined_keeps_to_no_bound(bound):
         ({"reading": "roll"}, "set either at_most or at_least"),
         ({"reading": "roll", "at_least": 0.1}, "at_least goes with a score"),
         ({"score": "mean_power", "at_most": 1.0, "longer_than": 1.0}, "longer_than goes with"),
-        ({"score": "cost", "at_most": 1.0}, "'cost' is no score"),
+        ({"score": "cost", "at_most": 1.0}, "'cost' is not a score"),
         ({"reading": "height", "at_most": 1.0}, "Input should be 'torque'"),
         ({"reading": "roll", "at_most": float("nan")}, "finite number"),
     ],
@@ -192,7 +192,7 @@ def test_a_function_takes_no_name_of_a_score_of_the_task():
     [
         ("def jerk(torques)\n    return 0.0\n", r"smooth\.py:1: expected ':'"),
         ("def jork(torques):\n    return 0.0\n", "has no function 'jerk'; did you mean 'jork'"),
-        ("def jerk(torqes):\n    return 0.0\n", "a parameter 'torqes', which is no reading"),
+        ("def jerk(torqes):\n    return 0.0\n", "a parameter 'torqes', which is not a reading"),
     ],
 )
 def test_a_file_that_no_worker_could_use_is_refused_before_anything_runs(tmp_path, code, said):
@@ -203,7 +203,7 @@ def test_a_file_that_no_worker_could_use_is_refused_before_anything_runs(tmp_pat
 
 
 @pytest.mark.parametrize("leaving", ["raise SystemExit(3)", "import os; os._exit(3)"])
-def test_a_function_that_leaves_the_process_is_no_failure_of_the_policy(tmp_path, leaving):
+def test_a_function_that_leaves_the_process_is_not_a_failure_of_the_policy(tmp_path, leaving):
     (tmp_path / "smooth.py").write_text(f"def jerk(torques):\n    {leaving}\n")
     own = OwnScore.model_validate(OWN)
     score = score_class(own_text(own, tmp_path), allow_code=True)(FIGURES)
@@ -238,14 +238,14 @@ def test_what_is_expected_and_a_tasks_own_score_can_be_gated(monkeypatch):
     )
     gate = {"scores": {"drift": {"bar": 0.5}, "expect_it": {"bar": 0.9}}}
     settings = {**SUITE, "expect": {"it": {"reading": "roll", "at_most": 0.5}}, "gate": gate}
-    with pytest.raises(ValidationError, match="'drift' is no score"):
+    with pytest.raises(ValidationError, match="'drift' is not a score"):
         new_suite(settings)
     monkeypatch.setattr(Course, "declared", (drift,))
     suite = new_suite(settings)
     assert list(suite.measured) == ["expect_it"], "the task measures its own"
     again = new_suite(json.loads(suite.model_dump_json(by_alias=True)))
     assert again.content_digest == suite.content_digest
-    with pytest.raises(ValidationError, match="'expect_its' is no score"):
+    with pytest.raises(ValidationError, match="'expect_its' is not a score"):
         new_suite({**SUITE, "gate": {"scores": {"expect_its": {"bar": 0.9}}}})
 
 
@@ -321,7 +321,7 @@ def test_another_code_is_another_job_and_another_baseline(written):
         ("raise SystemExit", "cannot be loaded: SystemExit"),
         ("import os; jerk = os._exit(0)", "cannot be loaded: SystemExit: 0"),
         ("if 0: jerk = 1", "cannot be loaded: AttributeError"),
-        ("jerk = lambda target: 0.0", "has a parameter 'target', which is no reading"),
+        ("jerk = lambda target: 0.0", "has a parameter 'target', which is not a reading"),
     ],
 )
 def test_code_that_cannot_be_used_is_named(written, code, said):
@@ -378,7 +378,7 @@ def test_a_reading_that_is_not_a_number_keeps_no_bound_and_one_that_was_not_take
         ((0.0, -0.0), "is empty"),
     ],
 )
-def test_a_range_that_is_no_number_wide_is_refused(ends, said):
+def test_a_range_of_invalid_width_is_refused(ends, said):
     with pytest.raises(ValidationError, match=said):
         new_suite({**SUITE, "scores": ({**OWN, "range": ends},)})
     with pytest.raises(ValidationError, match=said):

@@ -552,7 +552,7 @@ def test_how_long_a_command_is_held_is_said(tmp_path, first, last, said):
     ("child", "noise", "said"),
     [("base_link", 1e-7, "never change"), ("base_link", 0.1, ""), ("camera_link", 0.1, "mounting")],
 )
-def test_whose_attitude_it_is_and_whether_it_is_rounding(tmp_path, child, noise, said):
+def test_a_roll_needs_a_pose_of_the_trunk_that_is_more_than_rounding(tmp_path, child, noise, said):
     def walk(time):
         how = {"place": (0.5 * time, 0, 0.3), "child": child, "roll": noise * math.sin(9 * time)}
         yield "/odom", ODOM, odometry(EPOCH + time, **how)
@@ -639,7 +639,7 @@ def test_a_measured_twist_and_a_goal_are_no_command_and_no_pose(tmp_path):
         entries.append((time, "/tf", TF, {"nothing": 1}))
     found = scores(write(tmp_path / "log.mcap", entries))
     assert dict(found.topics) == {"joints": "/joint_states"}
-    assert found.unused["/goal_pose"] == "its name says where the robot is to go"
+    assert found.unused["/goal_pose"] == "its name means the robot's goal"
     assert found.unused["/base_velocity"] == "its name does not say a command"
     assert found.unused["/tf"] == "tf2_msgs/msg/TFMessage is not read"
 
@@ -663,7 +663,7 @@ def test_raw_actions_are_not_targets(tmp_path):
     assert "actions before scale and offset" in missing
 
 
-def test_an_array_of_another_size_is_no_targets(tmp_path):
+def test_an_array_of_another_size_is_not_a_set_of_targets(tmp_path):
     entries = [(EPOCH + t, "/joint_states", JOINT, joints(EPOCH + t)) for t in TIMES]
     entries += [
         (EPOCH + t, "/action", ARRAY, {"layout": LAYOUT, "data": [0.0] * 13}) for t in TIMES

@@ -73,7 +73,7 @@ def test_policies_are_ranked_with_their_scenes_and_where_they_part():
     assert found.waypoints == 12
 
 
-def test_a_scene_with_nothing_in_the_way_is_no_course_of_hurdles():
+def test_a_scene_with_nothing_in_the_way_is_not_a_course_of_hurdles():
     """Rows call its task so, as its trials are named by that."""
 
     def with_a_room(entrant):
@@ -262,7 +262,7 @@ def test_a_score_that_a_run_lacks_and_a_number_that_is_none_are_named(tmp_path):
     real = tmp_path / "real.csv"
     real.write_text("policy,scene,trials,mean_power\ngood,hurdles/low,10,much\n")
     spec = specs_of(["mean_power"])["mean_power"]
-    with pytest.raises(UsageError, match="mean_power 'much' is no number"):
+    with pytest.raises(UsageError, match="mean_power 'much' is not a number"):
         read_real_results(real, spec)
     with pytest.raises(UsageError, match="lacks the column foot_slip"):
         read_real_results(real, specs_of(["foot_slip"])["foot_slip"])

@@ -29,7 +29,7 @@ def test_what_was_saved_comes_back_generators_and_all(folder):
     assert (state["step"], state["w"].tolist(), state["on"]) == (12, [0.0, 1.0, 2.0], True)
 
 
-def test_a_folder_without_a_state_has_none_and_one_without_a_config_is_no_training(
+def test_a_folder_without_a_state_has_none_and_one_without_a_config_is_not_a_training(
     folder, tmp_path
 ):
     assert TrainFolder.resume(folder.path).load_state() is None
@@ -49,7 +49,7 @@ def test_a_state_with_code_in_it_is_refused_and_runs_nothing(folder, tmp_path):
 
     for is_zip in (True, False):
         torch.save({"a": Bomb()}, folder.state, _use_new_zipfile_serialization=is_zip)
-        with pytest.raises(StoreError, match="is no state"):
+        with pytest.raises(StoreError, match="is not a training state"):
             folder.load_state()
         assert not (tmp_path / "ran").exists()
 

@@ -151,7 +151,10 @@ def test_what_students_are_given_is_compared_with_the_first_on_the_same_starts(
     assert alone.rows[1][1] == "rgb, no cones, direction"
     assert paired.rows[0][2].startswith("-0.25 (-")
     write_page(tmp_path / "table.md", (alone, paired))
-    assert "## Success less that of rgb on the same starts" in (tmp_path / "table.md").read_text()
+    assert (
+        "## Success less that of rgb on the same initial states"
+        in (tmp_path / "table.md").read_text()
+    )
     kind.draw(tmp_path / "figure.png", students, scores)
     assert Image.open(tmp_path / "figure.png").width == 800
 

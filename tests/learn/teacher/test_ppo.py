@@ -123,7 +123,7 @@ def test_another_network_is_refused_on_one_line():
             tensor.CopyFrom(numpy_helper.from_array(np.zeros(11, np.float32), tensor.name))
     with pytest.raises(PolicyError) as caught:
         read_actor(model.SerializeToString(), "p.onnx")
-    assert "p.onnx is no network of a teacher" in str(caught.value)
+    assert "p.onnx is not a teacher's network" in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
 
 

@@ -49,7 +49,9 @@ def quiet(_line):
 
 
 @pytest.mark.nightly
-def test_a_training_that_was_killed_goes_on_to_the_same_curve_and_the_same_policy(whole, tmp_path):
+def test_a_training_that_was_killed_continues_to_the_same_curve_and_the_same_policy(
+    whole, tmp_path
+):
     command = [sys.executable, "-c", SAVES_AT_ONCE, str(whole / "tiny.yaml"), str(tmp_path / "run")]
     killed = subprocess.run(command, check=False, capture_output=True, text=True, timeout=240)
     assert killed.returncode == -signal.SIGKILL, killed.stderr
@@ -124,7 +126,7 @@ def test_a_state_that_lacks_a_part_is_an_error_on_one_line(whole, tmp_path):
     state = read_state(tmp_path / "run" / "state.pt")
     del state["episodes"]["trails"]
     torch.save(state, tmp_path / "run" / "state.pt")
-    with pytest.raises(StoreError, match="is no state of this training: KeyError"):
+    with pytest.raises(StoreError, match="is not a state of this training: KeyError"):
         resume_teacher(tmp_path / "run", say=quiet)
 
 

@@ -181,7 +181,7 @@ def test_a_link_to_a_network_out_of_the_folder_is_refused(tmp_path_factory):
     folder, outside = tmp_path_factory.mktemp("card"), tmp_path_factory.mktemp("outside")
     (outside / "link.onnx").write_bytes(ENCODER)
     (folder / "link.onnx").symlink_to(outside / "link.onnx")
-    with pytest.raises(PolicyError, match=r"'link\.onnx' lies outside the card's folder: a link"):
+    with pytest.raises(PolicyError, match=r"'link\.onnx' is outside the card's folder: a link"):
         load_bundle(written(folder, CARD.replace("encoder.onnx", "link.onnx")))
 
 

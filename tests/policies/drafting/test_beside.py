@@ -602,6 +602,17 @@ def test_a_json_of_no_known_kind_beside_a_checkpoint_is_said_to_be_unread(card_o
     assert "other.json" not in text
 
 
+@pytest.mark.parametrize("frame", ["obs_size_single: 45\n", ""])
+def test_a_config_that_counts_all_frames_of_a_history_gives_its_terms_and_scales(card_of, frame):
+    config = GYM.replace("num_obs: 45", f"num_obs: 225\n{frame}history_length: 5")
+    text, card = card_of(225, {"configs/go2.yaml": config}, name="motion.onnx")
+    assert words(card) == ["ang_vel", "gravity", "command", "joint_pos", "joint_vel", "last_output"]
+    history = card.observations["obs"].history
+    assert (history.steps, history.order, history.by) == (5, "oldest_first", "step")
+    assert "names no terms" not in text
+    assert "what this card does not" not in text
+
+
 def test_a_pose_that_begins_with_a_right_leg_is_put_into_the_order_of_the_policy(card_of):
     config = GYM.replace("joint2motor_idx", "unread").replace(
         "[0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 1.0, -1.5, -0.1, 1.0, -1.5]",
@@ -831,7 +842,7 @@ def test_a_folder_of_a_training_gives_its_newest_step(tmp_path):
 
 
 def test_a_folder_without_a_checkpoint_is_said(tmp_path):
-    with pytest.raises(PolicyError, match=r"no checkpoint lies in it.*pt"):
+    with pytest.raises(PolicyError, match=r"no checkpoint is in it.*pt"):
         init_policy(tmp_path, robot="go2")
 
 

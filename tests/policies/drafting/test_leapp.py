@@ -158,7 +158,7 @@ def test_the_bundle_is_found_by_its_folder_its_file_and_the_folder_above(place, 
             "of the last step: another node",
         ),
         ("two-nodes", [("senses/body:", "senses_body:")], "the flow .* cannot be read"),
-        ("two-nodes", [("senses/body:", "nobody/body:")], "fed by 'nobody', which is no node"),
+        ("two-nodes", [("senses/body:", "nobody/body:")], "fed by 'nobody', which is not a node"),
         ("two-nodes", [("kind: target/joint/position", "kind: x")], "has 0: 'targets'"),
     ],
 )

@@ -158,7 +158,7 @@ def test_connections_share_no_state(local, url, tmp_path):
         np.testing.assert_array_equal(actions, expected)
 
 
-def test_a_failure_on_the_server_is_told_and_the_connection_survives(url, tmp_path):
+def test_a_failure_on_the_server_is_reported_and_the_connection_survives(url, tmp_path):
     policy = open_policy(remote(tmp_path, url))
     good = observations(1)[0]
     with pytest.raises(
@@ -175,7 +175,9 @@ def test_the_served_digest_can_be_pinned(local, url, tmp_path):
     pinned = REMOTE.replace("timeout: 60.0,", f"digest: {local.digest}, timeout: 60.0,", 1)
     open_policy(remote(tmp_path, url, pinned)).close()
     wrong = REMOTE.replace("timeout: 60.0,", f"digest: {'f' * 64}, timeout: 60.0,", 1)
-    with pytest.raises(PolicyError, match=f"serves the digest {local.digest}, the card says fff"):
+    with pytest.raises(
+        PolicyError, match=f"serves the digest {local.digest}, that on the card is fff"
+    ):
         open_policy(remote(tmp_path, url, wrong))
 
 

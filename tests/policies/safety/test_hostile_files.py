@@ -189,7 +189,7 @@ HOSTILE = {
     ),
     "safetensors of 100 GB": (
         lambda: struct.pack("<Q", len(HUGE)) + HUGE,
-        "tensor 'w' of shape .25000000000,. is not where the header says",
+        "tensor 'w' of shape .25000000000,. is not where the header puts it",
     ),
     "big-endian numbers": (
         lambda: torch_file(index(count=4, shape=(4,))).replace(b"little", b"bigggg"),

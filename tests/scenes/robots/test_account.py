@@ -394,7 +394,7 @@ def told(tmp_path, text, yaml=URDF_YAML):
     return str(caught.value).replace(f"{tmp_path}/", "")
 
 
-def test_what_only_xacro_reads_is_no_urdf_yet(tmp_path):
+def test_what_only_xacro_reads_is_not_a_urdf_yet(tmp_path):
     head = '<robot name="stick" xmlns:xacro="http://www.ros.org/wiki/xacro">'
     text = URDF.replace('<robot name="stick">', head)
     for old, new, words in (
@@ -413,7 +413,7 @@ def test_what_only_xacro_reads_is_no_urdf_yet(tmp_path):
 
 def test_a_shape_that_urdf_has_not_is_named(tmp_path):
     text = URDF.replace('<sphere radius="0.04"/>', '<cone radius="0.04"/>')
-    assert "<cone> is no shape of a URDF; use one of box, sphere, cylinder, capsule, mesh" in told(
+    assert "<cone> is not a URDF shape; use one of box, sphere, cylinder, capsule, mesh" in told(
         tmp_path, text
     )
 
@@ -535,7 +535,7 @@ def test_geoms_that_touch_each_other_and_no_ground_stay_solid(tmp_path):
         assert masks == (theirs.geom(name).contype[0], theirs.geom(name).conaffinity[0])
 
 
-def test_masks_that_meet_no_ground_are_told(tmp_path):
+def test_masks_that_meet_no_ground_are_reported(tmp_path):
     with pytest.raises(RobotError, match="contype and conaffinity 2 and 4, ground has 1 and 1; s"):
         stand(tmp_path, **dict.fromkeys(("foot", "shin", "top"), 'contype="2" conaffinity="4"'))
 

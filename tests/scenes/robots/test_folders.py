@@ -348,14 +348,14 @@ def test_a_urdf_gets_a_free_joint(tmp_path):
         ("published: {body: [hul]}", "robot.yaml:4:20: published.body: no body 'hul'; did you"),
         (
             "cameras: {a: {position: [0, 0, 0], rotation: [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}",
-            "robot.yaml:4:36: cameras.a.rotation: it is no rotation",
+            "robot.yaml:4:36: cameras.a.rotation: it is not a rotation",
         ),
         ("feets: [toe_l]", "robot.yaml:4:1: unknown key 'feets'; did you mean 'feet'?"),
         ("fell: {tilt: -1}", "robot.yaml:4:8: fell.tilt"),
         ("root: .nan", "robot.yaml:4:1: root"),
     ],
 )
-def test_what_robot_yaml_says_wrongly_is_told_with_its_place(tmp_path, line, said):
+def test_what_robot_yaml_says_wrongly_is_reported_with_its_place(tmp_path, line, said):
     yaml = YAML.replace("motors:", f"{line}\nmotors:")
     if said is None:
         assert find_robot(f"{written(tmp_path, MJCF, yaml)}/").spec.feet == ("flag",)
@@ -393,7 +393,7 @@ def test_what_robot_yaml_says_wrongly_is_told_with_its_place(tmp_path, line, sai
         (
             '<joint name="toe_l" axis',
             '<joint name="toe_l" type="slide" axis',
-            "'toe_l' is no hinge",
+            "'toe_l' is not a hinge",
         ),
         ('mass="5"', 'mass="-5"', "MuJoCo cannot"),
         ('size="0.03" mass="0.2"', 'size="nan" mass="0.2"', "<geom> has size='nan'"),
@@ -420,7 +420,7 @@ def test_what_is_too_much_is_refused_before_it_is_compiled(tmp_path, monkeypatch
     assert "mesh 'shapes/shell.stl' has over 11 faces" in faults(tmp_path)
 
 
-def test_a_damaged_mesh_is_no_traceback(tmp_path):
+def test_a_damaged_mesh_gives_no_traceback(tmp_path):
     folder = written(tmp_path)
     (folder / "shapes" / "shell.stl").write_bytes(b"solid x\nfacet normal 1 2")
     with pytest.raises(RobotError, match="mesh 'shapes/shell"):

@@ -410,8 +410,8 @@ def damaged(folder, name, corners):
         ("hull.dae", None, "only STL and OBJ are read"),
         ("gone.stl", None, "it is not in the folder"),
         ("../out.stl", None, "it is not in the folder"),
-        ("nan.stl", [[0, 0, 0], [1, 0, 0], [0, np.nan, 0]], "numbers that are no lengths"),
-        ("huge.stl", [[0, 0, 0], [1e30, 0, 0], [0, 1, 0]], "numbers that are no lengths"),
+        ("nan.stl", [[0, 0, 0], [1, 0, 0], [0, np.nan, 0]], "numbers that are not lengths"),
+        ("huge.stl", [[0, 0, 0], [1e30, 0, 0], [0, 1, 0]], "numbers that are not lengths"),
         ("flat.stl", [[0, 0, 0], [1, 0, 0], [0, 1, 0]] * 4, "MuJoCo says"),
     ],
 )

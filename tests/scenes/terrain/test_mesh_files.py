@@ -89,7 +89,7 @@ def test_bad_files_are_named_errors(tmp_path, text, words):
 
 
 @pytest.mark.parametrize("suffix", ["obj", "ply", "stl"])
-def test_noise_is_no_mesh(tmp_path, suffix):
+def test_noise_is_not_a_mesh(tmp_path, suffix):
     path = tmp_path / f"noise.{suffix}"
     path.write_bytes(np.random.default_rng(0).bytes(5000))
     with pytest.raises(SceneError, match="noise"):
@@ -126,10 +126,10 @@ end_header
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (("1 0 0\n", "1 0\n"), r"a\.ply:11: a vertex row has not the numbers"),
-        (("4 0 1 2 3", "4 0 1"), r"a\.ply:14: a face row has not the numbers"),
+        (("1 0 0\n", "1 0\n"), r"a\.ply:11: a vertex row does not have the numbers"),
+        (("4 0 1 2 3", "4 0 1"), r"a\.ply:14: a face row does not have the numbers"),
         (("4 0 1 2 3\n", ""), r"a\.ply: 1 face rows are said, 0 are there"),
-        (("4 0 1 2 3", "4 0 1 2 x"), r"a\.ply:14: a face row is no row of numbers"),
+        (("4 0 1 2 3", "4 0 1 2 x"), r"a\.ply:14: a face row does not hold numbers"),
         (("4 0 1 2 3", "4 0 1 2 4"), "a face names vertex 4 of 4"),
         (
             ("element vertex 4", "element vertex 900000000"),

@@ -78,7 +78,7 @@ def test_values_of_axes_are_such_as_suites_may_have():
         ("hurdles/three_low+payloads", "there is no ladder"),
     ],
 )
-def test_what_is_no_ladder_is_said(wrong, message):
+def test_an_unknown_ladder_is_reported(wrong, message):
     with pytest.raises(SceneError) as raised:
         ladder_named(wrong)
     assert message in str(raised.value)
@@ -105,7 +105,7 @@ def test_of_a_ladder_that_grows_harder_downwards_the_greatest_value_comes_first(
     assert [rung.value for rung in rungs_of(str(folder))] == [0.24, 0.12]
 
 
-def test_a_folder_s_ladder_has_the_listed_values_only_and_is_no_scene(folder):
+def test_a_folder_s_ladder_has_the_listed_values_only_and_is_not_a_scene(folder):
     with pytest.raises(SceneError, match=r"no such rung; its rungs are 0\.12, 0\.24"):
         references([f"{folder}@0.2"])
     with pytest.raises(
@@ -121,7 +121,7 @@ def test_a_folder_s_ladder_has_the_listed_values_only_and_is_no_scene(folder):
         ([{"value": 0.2, "scene": "low"}, {"value": 0.1, "scene": "high"}], "ascending order"),
         ([{"value": 0.1, "scene": "low"}, {"value": 0.1, "scene": "high"}], "ascending order"),
         ([{"value": 0.1, "scene": "low"}, {"value": 0.2, "scene": "../x"}], "it has `..`"),
-        ([{"value": 0.1, "scene": "low"}, {"value": 0.2, "scene": "gone"}], "is no folder"),
+        ([{"value": 0.1, "scene": "low"}, {"value": 0.2, "scene": "gone"}], "is not a folder"),
     ],
 )
 def test_a_wrong_ladder_file_is_said_with_its_line(folder, rungs, message):
@@ -154,7 +154,9 @@ def test_a_package_brings_a_ladder(folder, tmp_path, monkeypatch):
     try:
         assert references(["lab-steps@0.12"]) == ((str(folder / "low"), "terrain"),)
         assert [rung.value for rung in rungs_of("lab-steps")] == [0.12, 0.24]
-        with pytest.raises(PluginError, match=r"of lab-steps .* is no folder with a ladder\.yaml"):
+        with pytest.raises(
+            PluginError, match=r"of lab-steps .* is not a folder with a ladder\.yaml"
+        ):
             rungs_of("broken")
     finally:
         monkeypatch.undo()

@@ -50,11 +50,11 @@ def test_what_trials_do_not_command_is_a_note_if_no_card_mends_it(compared, obey
     assert [kind for kind, _ in findings] == ["note"] * 3
     assert "to the left, 0.20 m/s reached (40%)" in findings[0][1]
     assert findings[2][1] == (
-        f"none of the changes tried helps: {TRIED}; none comes nearer than the card as it is"
+        f"none of the changes tried helps: {TRIED}; none is better than the card"
     )
 
 
-def test_where_nothing_helps_the_best_figures_are_told(compared, obeys):
+def test_where_nothing_helps_the_best_figures_are_reported(compared, obeys):
     def walk(card, _):
         return obeys(card, (1.0, 0.45 if halved_hips(card) else 0.4, 1.0))
 
@@ -153,7 +153,7 @@ def test_a_card_that_is_no_better_in_a_trial_is_a_note(compared, obeys, complete
     assert findings[2][1].startswith("it follows better with the scale of the hips halved; if")
 
 
-def test_a_card_under_which_only_the_sides_are_slow_is_no_fault(compared, obeys):
+def test_a_card_under_which_only_the_sides_are_slow_is_not_a_fault(compared, obeys):
     """So go right cards; a change that mends the sides can cost success in trials."""
 
     def walk(card, _):
@@ -184,7 +184,7 @@ def test_a_stumbling_policy_is_told_with_which_card_it_walks(compared, obeys):
     )
 
 
-def test_what_was_found_before_the_budget_was_used_up_is_told(commanded, compared, obeys):
+def test_what_was_found_before_the_budget_was_used_up_is_reported(commanded, compared, obeys):
     def walk(card, _):
         # The first other card already does; a better one comes later.
         first = card.observations != commanded.observations

@@ -226,7 +226,7 @@ def test_what_a_policy_cannot_feel_is_known(library):
 
 
 def test_values_out_of_range_and_unknown_axes_are_refused(library, make_job):
-    with pytest.raises(ValidationError, match="is no whole number of control steps"):
+    with pytest.raises(ValidationError, match="is not a whole number of control steps"):
         Perturb(latency=(0.03,))
     with pytest.raises(ValidationError, match="less than or equal to 20"):
         Perturb(payload=(25.0,))

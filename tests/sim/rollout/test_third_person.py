@@ -206,5 +206,5 @@ def test_a_policy_with_a_camera_is_refused_such_a_scene_before_anything_runs(sui
         "control: {action: joint_position_offset}\n"
         "observations: {ahead: {sensor: splat_rgb}}\n"
     )
-    with pytest.raises(UsageError, match=r"mine/kerb: no splat, of which policy 'eye' .*`ahead`"):
+    with pytest.raises(UsageError, match=r"mine/kerb: no splat, which policy 'eye' .*`ahead`"):
         api.check(suite, policy=str(tmp_path))

@@ -331,7 +331,7 @@ def test_a_push_and_its_recovery_are_events():
 
 @pytest.mark.parametrize("settings", [DRAWN, PUSH, {"kind": "stand"}])
 @pytest.mark.parametrize("at", [3, 101, 130, 480])
-def test_a_task_that_is_restored_goes_on_as_it_would_have(settings, at):
+def test_a_task_that_is_restored_continues_as_it_would_have(settings, at):
     def read(step):
         wild = math.sin(0.9 * step)
         return robot(x=0.001 * step, v=(0.4 + 0.3 * wild, 0.1), rate=0.2, yaw=0.002 * step)
@@ -361,7 +361,7 @@ def test_a_task_that_is_restored_goes_on_as_it_would_have(settings, at):
         ),
         (
             {"kind": "velocity", "command": {"draw": {"vx": [1.0, 0.5]}}},
-            "vx 1 to 0.5 is no range; write the smaller number first",
+            "vx 1 to 0.5 is not a range; write the smaller one first",
         ),
         (
             {"kind": "velocity", "command": {"steps": [{"at": 2.0}, {"at": 1.0}]}},
@@ -388,9 +388,24 @@ def test_settings_that_mean_nothing_are_refused(task, said):
 @pytest.mark.parametrize(
     ("task", "hears", "location", "said"),
     [
-        (VELOCITY, {"way"}, ("command",), "cannot be told vx: its card has no term `command`, it "),
-        (DRAWN, {"way", "speed"}, ("command",), "cannot be told vy and yaw: its card has no term"),
-        ({**PUSH, "command": {"constant": {"vy": 0.1}}}, {"speed"}, ("command",), "be told vy: "),
+        (
+            VELOCITY,
+            {"way"},
+            ("command",),
+            "does not observe vx: its card has no term `command`, it ",
+        ),
+        (
+            DRAWN,
+            {"way", "speed"},
+            ("command",),
+            "does not observe vy and yaw: its card has no term",
+        ),
+        (
+            {**PUSH, "command": {"constant": {"vy": 0.1}}},
+            {"speed"},
+            ("command",),
+            "does not observe vy: ",
+        ),
         ({"kind": "stand"}, {"way"}, ("kind",), "nothing tells the policy to stand still"),
         (PUSH, {"way"}, ("kind",), "nothing tells the policy to stand still"),
         (
@@ -413,7 +428,9 @@ def test_settings_that_mean_nothing_are_refused(task, said):
         ),
     ],
 )
-def test_a_policy_or_a_trial_that_does_not_fit_is_told_with_its_place(task, hears, location, said):
+def test_a_policy_or_a_trial_that_does_not_fit_is_reported_with_its_place(
+    task, hears, location, said
+):
     fault = fault_of(settings_of(task), hears=frozenset(hears), rules=TaskRules(duration=10.0))
     assert fault is not None
     assert fault.location == location

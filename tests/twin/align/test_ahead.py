@@ -115,8 +115,8 @@ def test_a_length_in_a_photograph_that_is_not_there_is_an_error_at_once(tmp_path
     [
         ([("IMG_1.jpg:1,2", "IMG_1.jpg:1,2", 1.0)], "are one: IMG_1.jpg:1,2 and IMG_1.jpg:1,2"),
         ([("IMG_1.jpg:1,2+IMG_2.jpg:5,6", "IMG_2.jpg:5,6", 1.0)], "are one: "),
-        ([("IMG_1.jpg:480,2", "IMG_2.jpg:5,6", 1.0)], "outside of .* has 480 x 360 pixels"),
-        ([("IMG_1.jpg:1,2", "IMG_2.jpg:5,400", 1.0)], "IMG_2.jpg:5,400 lies outside of"),
+        ([("IMG_1.jpg:480,2", "IMG_2.jpg:5,6", 1.0)], "outside the .* has 480 x 360 pixels"),
+        ([("IMG_1.jpg:1,2", "IMG_2.jpg:5,400", 1.0)], "IMG_2.jpg:5,400 is outside"),
         (
             [("IMG_1.jpg:1,2", "IMG_2.jpg:5,6", 1.0), ("IMG_2.jpg:5,6", "IMG_1.jpg:1,2", 1.1)],
             "contradict each other: 1.1 m between .*, and 1 m by others",
@@ -165,7 +165,7 @@ def test_pixels_of_a_photograph_are_counted_as_it_is_seen_upright(tmp_path, turn
         facts_of_source(photographs_in(tmp_path / "in"), AlignOptions(lengths=(length,)))
 
 
-def test_a_build_says_it_before_photographs_are_read_and_goes_on(tmp_path, ended):
+def test_a_build_says_it_before_photographs_are_read_and_continues(tmp_path, ended):
     taken(tmp_path / "photographs")
     source, out = tmp_path / "photographs", tmp_path / "room"
     code, printed = ended("twin", "build", source, "--out", out)

@@ -128,9 +128,9 @@ def test_two_points_of_known_distance_give_the_scale():
 @pytest.mark.parametrize(
     ("first", "message"),
     [
-        ({"nobody.jpg": (1, 1), "000.jpg": (2, 2)}, "no shot of the capture"),
+        ({"nobody.jpg": (1, 1), "000.jpg": (2, 2)}, "not a shot of the capture"),
         ({"000.jpg": (10, 10)}, "000.jpg:9.5,9.5 is in one photograph, and there is no mesh"),
-        ({"000.jpg": (10, 900)}, "lies outside of the photograph, which has 320 x 240 pixels"),
+        ({"000.jpg": (10, 900)}, "is outside the photograph, which has 320 x 240 pixels"),
         ({"000.jpg": (10, 10), "004.jpg": (300, 10)}, "do not meet in a point"),
         ((1.0, 2.0, 3.0), "coincide"),
     ],
@@ -305,7 +305,7 @@ def ledge(rng, share):
 
 
 @pytest.mark.parametrize("share", [0.02, 0.05, 0.3])
-def test_a_ledge_is_no_floor_from_which_a_camera_height_gives_a_scale(share):
+def test_a_ledge_is_not_a_floor_from_which_a_camera_height_gives_a_scale(share):
     rng = np.random.default_rng(11)
     T, poses = similarity(rng), straight(rng, 12, pitch=5.0)
     found = capture(ledge(rng, share), poses, T)

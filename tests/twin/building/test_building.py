@@ -315,7 +315,7 @@ def test_a_length_scales_a_place_that_is_built_and_no_other_stage_runs_again(uns
     # 30 pixels below the middle of a picture that is 36 high is far below its lower edge.
     for ends, code, said in (
         (["003.png:20,1", "003.png:44,30"], 2, "the point 003.png:20,1 does not meet the surface"),
-        (["003.png:20,30", "03.png:44,30"], 2, "'03.png', which is no shot of the capture"),
+        (["003.png:20,30", "03.png:44,30"], 2, "'03.png', which is not a shot of the capture"),
         (["003.png:20,30", "003.png:44,30"], 0, "scale by length"),
     ):
         left, printed = ended("twin", "place", room, "--length", *ends, "6.0")
@@ -386,7 +386,7 @@ with BuildFolder(Path(sys.argv[1])).held():
 """
 
 
-def test_of_two_builds_on_one_folder_the_second_is_told_at_once_who_holds_it(
+def test_of_two_builds_on_one_folder_the_second_names_the_first_at_once(
     photographs, tmp_path, ended
 ):
     scene = tmp_path / "room"

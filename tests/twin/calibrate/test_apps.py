@@ -325,7 +325,7 @@ def test_each_field_of_an_export_is_used_or_harmless_or_noted_by_name(
     [
         (
             {"camera_angle_x": 0.3},
-            "json says fl_x .*, and by camera_angle_x 1058.*fl_x is",
+            "json has fl_x .*, and by camera_angle_x 1058.*fl_x is",
         ),
         (
             {"is_fisheye": True, "p1": 0.1, "k5": 1e-3},

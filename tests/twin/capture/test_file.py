@@ -102,7 +102,7 @@ def test_pictures_outside_the_folder_are_refused(folder, key, name, tmp_path_fac
     value = json.loads((folder / "capture.json").read_text(encoding="utf-8"))
     value["shots"][0][key] = name
     (folder / "capture.json").write_text(json.dumps(value), encoding="utf-8")
-    with pytest.raises(SceneError, match="is no capture"):
+    with pytest.raises(SceneError, match="is not a capture"):
         read_capture(folder)
 
 
@@ -159,10 +159,10 @@ def test_arrays_that_are_pickles_are_refused_and_not_run(folder):
         values = dict(arrays)
     values["points"] = np.array([bomb], dtype=object)
     np.savez(folder / "points.npz", **values)
-    with pytest.raises(SceneError, match="is no capture"):
+    with pytest.raises(SceneError, match="is not a capture"):
         read_capture(folder)
     (folder / "points.npz").write_bytes(pickle.dumps(bomb))
-    with pytest.raises(SceneError, match="is no capture"):
+    with pytest.raises(SceneError, match="is not a capture"):
         read_capture(folder)
     assert not (folder / "ran").exists()
 

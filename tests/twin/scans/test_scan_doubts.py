@@ -76,7 +76,7 @@ def test_a_room_stands_on_its_floor_and_the_course_lies_there(tmp_path, name, tu
     assert np.abs(scene.trail[:, 2]).max() < 1e-3
 
 
-def test_a_glb_that_is_upside_down_is_not_ready_until_it_is_told(tmp_path):
+def test_a_glb_that_is_upside_down_is_not_ready_until_its_up_axis_is_given(tmp_path):
     write(tmp_path / "a.glb", *room(), UPSIDE_DOWN @ Y_UP)
     written = import_scan(tmp_path / "a.glb", tmp_path / "mine")
     assert re.search("by its faces up is -y.*low, against glTF's", written.fault)
@@ -152,7 +152,7 @@ def test_of_equally_long_courses_the_most_even_is_proposed(tmp_path):
     assert load_folder(tmp_path / "mine").trail[:, 1].max() < 0.3
 
 
-def test_the_unit_of_a_file_and_the_height_of_its_rooms_are_compared_with_what_is_told(tmp_path):
+def test_the_unit_of_a_file_and_the_height_of_its_rooms_are_compared_with_the_options(tmp_path):
     points, faces = room()
     write(tmp_path / "a.obj", 1000 * points, faces)
     text = (tmp_path / "a.obj").read_text()
@@ -165,7 +165,7 @@ def test_the_unit_of_a_file_and_the_height_of_its_rooms_are_compared_with_what_i
     assert "a ceiling is 0.7" in "\n".join(feet.lines)
     (tmp_path / "b.obj").write_text("# units: m\n" + (tmp_path / "b.obj").read_text())
     told = import_scan(tmp_path / "b.obj", tmp_path / "told", ScanOptions(unit="ft"))
-    assert "the file says that its unit is m, and it is read as ft" in "\n".join(told.lines)
+    assert "the file gives its unit as m, and it is read as ft" in "\n".join(told.lines)
 
 
 def test_a_room_is_known_by_its_ceiling_and_what_stands_in_it(tmp_path):

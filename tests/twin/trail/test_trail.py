@@ -329,7 +329,7 @@ def test_no_waypoint_is_within_reach_of_the_start():
     assert away.min() > 0.59
 
 
-def test_too_little_ground_for_a_waypoint_is_no_trail():
+def test_too_little_ground_for_a_waypoint_gives_no_course():
     with pytest.raises(SceneError, match=r"too little for a waypoint 0\.60 m from the start"):
         propose_course(island(0.8), walk(1.1))
 
@@ -373,7 +373,7 @@ def test_a_way_across_a_hole_is_a_trail_on_its_longer_side():
     assert proposal.whole
 
 
-def test_ground_that_no_photograph_shows_is_no_way():
+def test_no_course_leads_over_ground_that_no_photograph_shows():
     proposal = propose_course(GROUND, walk(8.0), shown=lambda xy: xy[:, 0] > 2.0)
     assert proposal.spawn.position[0] == pytest.approx(2.0, abs=0.35)
 
@@ -381,7 +381,7 @@ def test_ground_that_no_photograph_shows_is_no_way():
 def test_a_trail_is_no_longer_than_a_robot_walks_in_a_trial():
     proposal = propose_course(GROUND, walk(20.0))
     assert proposal.trail[-1][0] == pytest.approx(8.0, abs=0.05)
-    assert "the way goes on for 20.0 m: the course is 8 m long at most" in proposal.warnings[0]
+    assert "the way continues for 20.0 m: the course is 8 m long at most" in proposal.warnings[0]
 
 
 def test_a_way_that_bends_has_a_waypoint_in_the_bend():

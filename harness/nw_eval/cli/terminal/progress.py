@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, Tex
 from rich.text import Text
 
 from nw_base.clean import clean
-from nw_eval.cli.terminal.last_words import tell, unforeseen
+from nw_eval.cli.terminal.final_output import tell, unforeseen
 from nw_eval.cli.terminal.time_left import TimeLeft
 
 if TYPE_CHECKING:

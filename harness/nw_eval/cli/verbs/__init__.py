@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 from nw_base import __version__
 from nw_base.errors import PrerequisiteError, UsageError, nearest
-from nw_eval.cli.terminal.last_words import tell
+from nw_eval.cli.terminal.final_output import tell
 from nw_eval.cli.verbs.table import (
     EXAMPLES,
     EXIT_CODES,

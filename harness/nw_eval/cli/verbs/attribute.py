@@ -85,7 +85,7 @@ class Attribute:
     def _since_when(self) -> int:
         from nw_eval import api
         from nw_eval.api.attribution import AT_MOST
-        from nw_eval.cli.terminal.last_words import tell
+        from nw_eval.cli.terminal.final_output import tell
 
         heard = _Heard()
         if self.out is not None:

@@ -121,7 +121,7 @@ def baseline_table(baselines: Sequence[ListedBaseline]) -> str:
     """Return a line for each baseline: name, policy, starts, mean, when, machines, note."""
     if not baselines:
         return "no baselines: neither shipped, nor in reports/baselines"
-    heading = ("baseline", "policy", "starts", "mean", "saved", "machines", "note")
+    heading = ("baseline", "policy", "initial states", "mean", "saved", "machines", "note")
     names = Counter(_name(each) for each in baselines)
     rows = [
         heading,
@@ -181,9 +181,10 @@ def _facts(shown: ShownBaseline) -> Iterator[str]:
     yield f"file       {clean(shown.file)}"
     yield f"suite      {clean(manifest.suite)}"
     if manifest.held_out:
-        yield "starts     of a seed set of its own, which took no part in choosing the policy"
+        yield "seed set   held out: it was not used to choose the policy"
     yield f"policy     {clean(policy.name)} ({clean(digests)})"
-    yield f"starts     {manifest.starts} in each of {plural(len(manifest.key.scenes), 'scene')}"
+    scenes = plural(len(manifest.key.scenes), "scene")
+    yield f"states     {manifest.starts} initial states in each of {scenes}"
     yield f"mean       {baseline_mean(baseline):.3f}"
     yield f"seed       {manifest.key.seed}, protocol {clean(manifest.key.protocol)}"
     yield f"simulator  {clean(simulator)}"
@@ -368,7 +369,7 @@ def _flipped(change: SceneChange) -> str:
         return "none"
     named = ", ".join(str(index) for index in change.flipped[:_FLIPPED])
     more = f" and {len(change.flipped) - _FLIPPED} more" if len(change.flipped) > _FLIPPED else ""
-    return f"starts {named}{more}"
+    return f"states {named}{more}"
 
 
 def _saved(saved: SavedBaseline) -> Iterator[str]:
@@ -376,7 +377,9 @@ def _saved(saved: SavedBaseline) -> Iterator[str]:
     from nw_gate.results.baseline import baseline_mean
 
     manifest = saved.baseline.manifest
-    size = f"{plural(len(manifest.key.scenes), 'scene')} x {plural(manifest.starts, 'start')}"
+    size = (
+        f"{plural(len(manifest.key.scenes), 'scene')} x {plural(manifest.starts, 'initial state')}"
+    )
     whole = f"{size}, mean success {baseline_mean(saved.baseline):.3f}"
     if saved.change is not None and saved.action != "unchanged":
         yield change_page(saved.change)

@@ -36,7 +36,7 @@ class BisectSeries(Printed, Verb):
     goes_on = "interrupted; run the same command again to resume"
 
     trials: int | None
-    """Trials per scene for each checkpoint, on average. At most this many (default: the suite's
+    """Largest number of trials per checkpoint, as an average per scene (default: the suite's
     `gate.rounds`)."""
 
     def show(self, found: BisectedSeries) -> str:

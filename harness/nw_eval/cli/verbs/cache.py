@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @verb_of("cache_info")
 class ShowCache(Printed, Verb):
-    """Show where the trial cache is, how full it is, and whose results it has."""
+    """Show where the trial cache is, how full it is, and which policies it has results of."""
 
     def show(self, result: CacheUse) -> str:
         return cache_page(result)

@@ -131,7 +131,12 @@ def verb_page(name: str, form: type, examples: Sequence[str]) -> str:
 
 def family_page(name: str, lines: Sequence[tuple[str, str]], examples: Sequence[str]) -> str:
     """Return the help of a verb that has others below it, of which `lines` gives name and words."""
-    head = [f"usage: nw-eval {name} COMMAND [options]", "", f"{VERBS[name].line.capitalize()}.", ""]
+    head = [
+        f"usage: nw-eval {name} COMMAND [options]",
+        "",
+        f"{VERBS[name].line[0].upper()}{VERBS[name].line[1:]}.",
+        "",
+    ]
     more = ["", _filled(f"`nw-eval {name} COMMAND --help` shows a command's options."), ""]
     listed = _listed(lines, _width([part for part, _ in lines]))
     return _ended([*head, "Commands:", *listed, *more], examples, name)

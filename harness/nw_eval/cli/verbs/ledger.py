@@ -87,7 +87,7 @@ def _again(report: LedgerReport) -> Iterator[str]:
     if not report.rerolls:
         return
     yield ""
-    yield f"{plural(len(report.rerolls), 'candidate')} tested more than once, each time anew:"
+    yield f"{plural(len(report.rerolls), 'candidate')} tested more than once, each as a new test:"
     worst = sorted(report.rerolls, key=lambda each: (-each.tests, each.digest))
     yield from (f"  {_reroll(each)}" for each in worst[:_LISTED])
     if len(worst) > _LISTED:
@@ -132,7 +132,7 @@ def _luck(each: BestOfMany) -> str:
             f"; were all exactly at the bar {each.bar:g}, at least one would pass in "
             f"{_percent(each.any_passes)}"
         )
-    return words + "; `--seed-set fresh` judges the one that was chosen on starts of its own"
+    return words + "; `--seed-set fresh` confirms the chosen one on new initial states"
 
 
 def _number(value: float) -> str:

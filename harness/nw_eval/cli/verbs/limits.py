@@ -27,11 +27,12 @@ class Limits:
     """
 
     ladders: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
-    """Names or globs of ladders, such as hurdles/bar, or suites with gate.limits (default: all)."""
+    """Names or globs of ladders, such as hurdles/bar, or suites with gate.limits (default: all
+    built-in ladders of scenes)."""
     policy: Annotated[str, tyro.conf.arg(aliases=["-p"])]
     """A shipped policy's name, a policy folder, a card, or hub:org/name[@revision]."""
     baseline: str | None = None
-    """Another policy, on the same trials and in the same picture."""
+    """Another policy to compare with, on the same trials and in the same picture."""
     robot: str | None = None
     """A robot's name, such as go1, its folder, hub:org/name[@revision] or menagerie:NAME (default:
     the card's)."""
@@ -44,9 +45,9 @@ class Limits:
     width: int = 2
     """A search ends when its bounds are at most this many rungs apart."""
     trials: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 120
-    """Trials of a ladder, at most."""
+    """Trials per ladder. At most N."""
     seed: int = 1
-    """Use a different seed for the initial states."""
+    """Use a different seed for the initial states (default: 1)."""
     out: Path | None = None
     """A new folder (default: `reports/limits-<number>`)."""
     write_suite: Path | None = None
@@ -64,8 +65,8 @@ class Limits:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.terminal.final_output import tell
         from nw_eval.cli.terminal.interruption import INTERRUPTED
-        from nw_eval.cli.terminal.last_words import tell
         from nw_eval.cli.terminal.progress import RunProgress
         from nw_gate.results.labels import typed_labels
 

@@ -174,7 +174,7 @@ _PAGE = 120
 
 
 def _tell(published: Published) -> None:
-    from nw_eval.cli.terminal.last_words import tell
+    from nw_eval.cli.terminal.final_output import tell
 
     for command in published.commands:
         print(command, flush=True)

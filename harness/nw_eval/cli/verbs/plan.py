@@ -57,8 +57,8 @@ class PlanTrials:
     json: bool = False
     """Print JSON; with --shards a GitHub matrix, in one line."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
-    """With --shards, as the next two: a policy's name, folder or card (default: the suite's
-    policy)."""
+    """A policy's name, folder or card; like --trials and --scenes, only with --shards (default: the
+    suite's policy)."""
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
     """Trials per scene (default: the suite's number)."""
     scenes: Scenes = None

@@ -53,7 +53,7 @@ class Report(Publishing):
     def _judge(self) -> int:
         from nw_base.errors import UsageError
         from nw_eval import api
-        from nw_eval.cli.terminal.last_words import show
+        from nw_eval.cli.terminal.final_output import show
 
         if self.title is not None:
             raise UsageError(
@@ -72,7 +72,7 @@ class Report(Publishing):
         from nw_base.errors import UsageError
         from nw_base.plural import plural
         from nw_eval import api
-        from nw_eval.cli.terminal.last_words import show, tell
+        from nw_eval.cli.terminal.final_output import show, tell
 
         if self.out is not None or self.shows_one_run:
             raise UsageError(
@@ -93,7 +93,7 @@ class Report(Publishing):
         from nw_base.errors import UsageError
         from nw_base.plural import plural
         from nw_eval import api
-        from nw_eval.cli.terminal.last_words import show, tell
+        from nw_eval.cli.terminal.final_output import show, tell
 
         if self.shows_one_run:
             raise UsageError(
@@ -113,7 +113,7 @@ class Report(Publishing):
 def _tell_skipped(paths: Sequence[Path]) -> None:
     """Say what a glob has found beside the runs, such as pages and badges of before."""
     from nw_base.plural import plural
-    from nw_eval.cli.terminal.last_words import tell
+    from nw_eval.cli.terminal.final_output import tell
 
     if paths:
         names = ", ".join(clean(path.name, at_most=80) for path in paths[:_NAMED])

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from nw_base.words import Engine
-from nw_eval.cli.terminal.last_words import tell
+from nw_eval.cli.terminal.final_output import tell
 from nw_eval.cli.verbs.options import Options, Publishing
 from nw_eval.cli.verbs.shared import Label
 

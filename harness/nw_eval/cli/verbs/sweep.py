@@ -27,12 +27,12 @@ class SweepAxes:
 
     suite: Suite
     axis: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """Axis and values: friction=0.3..1.2 (7 values), payload=0..6:4, push=0,0.5,1."""
+    """Axis and values, at least one: friction=0.3..1.2 (7 values), payload=0..6:4, push=0,0.5,1."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """A shipped policy's name, a policy folder, a card, or hub:org/name[@revision] (default: the
     suite's policy)."""
     baseline: str | None = None
-    """Another policy, on the same trials and in the same picture."""
+    """Another policy to compare with, on the same trials and in the same picture."""
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
     """Trials per value and scene (default: the suite's number)."""
     scenes: Scenes = None
@@ -48,8 +48,8 @@ class SweepAxes:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.terminal.final_output import tell
         from nw_eval.cli.terminal.interruption import INTERRUPTED
-        from nw_eval.cli.terminal.last_words import tell
         from nw_eval.cli.terminal.progress import RunProgress
 
         request = Request(

@@ -43,8 +43,8 @@ import tyro
 
 from nw_base import words
 from nw_eval import api
+from nw_eval.cli.terminal.final_output import tell
 from nw_eval.cli.terminal.interruption import INTERRUPTED
-from nw_eval.cli.terminal.last_words import tell
 from nw_eval.cli.verbs.help import told_of
 from nw_eval.cli.verbs.printed import json_text
 from nw_eval.cli.verbs.shared import SHARED

@@ -86,7 +86,7 @@ class ViewTrials:
             stop = stopped_by_signals()
             print(f"view: {what} is at {page.url}; Ctrl-C ends it", flush=True)
             if self.open:
-                from nw_eval.cli.terminal.last_words import show_address
+                from nw_eval.cli.terminal.final_output import show_address
 
                 show_address(page.url)
             stop.wait()

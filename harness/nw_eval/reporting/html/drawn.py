@@ -215,7 +215,7 @@ def _baseline(verdict: Verdict) -> str:
     """Return which trials of the baseline the candidate's stand beside."""
     if verdict.against is not None and verdict.against.basis == "control":
         return "those of its policy that ran beside the candidate"
-    return "all starts of the baseline"
+    return "all initial states of the baseline"
 
 
 def survived(ends: Sequence[Ends], waypoint: int) -> float:

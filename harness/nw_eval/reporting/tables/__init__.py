@@ -203,7 +203,7 @@ def scores_table(verdict: Verdict) -> Table:
         ),
         numbers=frozenset({"trials", "undefined", "mean", "baseline", "change"}),
         note=f"Means weigh scenes equally. A trial in which a score is undefined counts as its "
-        f"declaration says. {meanings}.",
+        f"definition requires. {meanings}.",
     )
 
 

@@ -258,7 +258,7 @@ def _note(found: Comparison, header: str) -> str:
     if found.basis == "same" and found.again is not None and found.again.taken_over:
         return f"Results are the baseline's, {known}; {plural(found.again.ran, 'trial')} re-run."
     trials = plural(found.trials, "trial")
-    means = f"The baseline {found.baseline_name} is {known}, the candidate {trials}."
+    means = f"The baseline {found.baseline_name} has {known}, the candidate {trials}."
     if found.basis == "same":
         return means
     alone = f"{uncorrected('scene', header)} " if any(x.interval for x in found.scenes) else ""

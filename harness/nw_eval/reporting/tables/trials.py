@@ -38,7 +38,7 @@ def contacts_table(rows: Sequence[Row], run: RunInfo) -> Table:
         columns=("scene", "trials", "in contact"),
         rows=tuple(shown),
         numbers=frozenset({"in contact"}),
-        note="The suite lets trials go on after a contact of more than 10 N.",
+        note="The suite lets trials continue after a contact of more than 10 N.",
     )
 
 

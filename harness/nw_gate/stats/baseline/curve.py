@@ -96,11 +96,13 @@ def draw(
     rng, waypoints = seeded(seen), np.array([len(course.counts) - 1 for course in seen])
     known = {course.trials for course in seen}
     if starts is None and len(known) > 1:
-        raise ValueError(f"scenes with {min(known)} to {max(known)} starts are no baseline")
+        raise ValueError(
+            f"scenes with {min(known)} to {max(known)} initial states are not a baseline"
+        )
     size = known.pop() if starts is None else starts
     pairs = size * len(seen)
     if budget > pairs:
-        raise ValueError(f"{budget} trials of {len(seen)} scenes with {size} starts each")
+        raise ValueError(f"{budget} trials of {len(seen)} scenes with {size} initial states each")
     order = np.array([rng.choice(pairs, budget, replace=False) for _ in range(repetitions)])
     scenes = order // size
     if starts is None:

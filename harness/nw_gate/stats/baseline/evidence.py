@@ -91,7 +91,9 @@ class Reference:
             raise ValueError("a baseline needs the mean of one scene at least")
         check_successes(self.means)
         if not self.starts >= 1:
-            raise ValueError(f"{self.starts} starts in each scene; a baseline needs one at least")
+            raise ValueError(
+                f"{self.starts} initial states in each scene; a baseline needs at least one"
+            )
 
     @classmethod
     def of(cls, scores: Floats) -> Reference:

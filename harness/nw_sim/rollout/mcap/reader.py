@@ -245,10 +245,10 @@ def _unpacked(chunk: Chunk) -> bytes:
     if chunk.compression:
         # zstd believes a frame's own word for its size, whatever limit one gives.
         if zstandard.frame_content_size(data) not in {-1, size}:
-            raise ValueError("a chunk's size is not the one that it says")
+            raise ValueError("a chunk's size is not the one in its header")
         data = zstandard.ZstdDecompressor().decompress(data, max_output_size=size) if size else b""
     if len(data) != size:
-        raise ValueError("a chunk's size is not the one that it says")
+        raise ValueError("a chunk's size is not the one in its header")
     if chunk.uncompressed_crc not in {0, zlib.crc32(data)}:
         raise ValueError("a chunk's checksum is that of other bytes")
     return data

@@ -130,7 +130,7 @@ def lead_to(
         if any(state.step == step for state in states):
             return
     raise StoreError(
-        f"{logged.path} does not say what was applied until control step {step}",
+        f"{logged.path} does not record what was applied until control step {step}",
         fix="give an earlier time, or run the trial again",
     )
 
@@ -274,7 +274,7 @@ def decisions(log: LogReader, *, joints: int) -> Iterator[Decision]:
             each.shape != (joints,) or not np.isfinite(each).all() for each in numbers
         ):
             raise StoreError(
-                f"{log.path} does not say what was applied in control step {count}",
+                f"{log.path} does not record what was applied in control step {count}",
                 fix="run the trial again",
             )
         action, applied, targets = numbers

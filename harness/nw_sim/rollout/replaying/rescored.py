@@ -110,7 +110,7 @@ def scores_of_log(
     if TRIAL in LogReader(path).metadata():
         if topics or robot is not None:
             raise UsageError(
-                f"{path} is the log of a run: it says itself which robot and topics it has",
+                f"{path} is the log of a run and names its robot and topics",
                 fix="drop --robot and --topic",
             )
         logged = read_logged_trial(path)

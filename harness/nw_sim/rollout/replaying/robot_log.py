@@ -245,15 +245,15 @@ def _fits(source: str, topic: str, kind: str) -> str:
         for part in topic.strip("/").split("/")
     )
     if source == "targets" and kind not in TARGETS[:-1] and _NO_ANGLES & set().union(*before, last):
-        return "its name says numbers that are no angles"
+        return "its name means numbers that are not angles"
     told = any(map(_TOLD.match, last))
     if not told and source != "pose" and any(map(_TOLD.match, set[str]().union(*before))):
         if last & _MEASURED:
-            return f"its name says both: --topic joints={topic} or targets={topic}"
+            return f"its name fits both: --topic joints={topic} or targets={topic}"
         told = True
     if told == (source in {"targets", "command"}):
         return ""
-    return "its name says where the robot is to go" if told else "its name does not say a command"
+    return "its name means the robot's goal" if told else "its name does not say a command"
 
 
 def _chosen(

@@ -348,7 +348,7 @@ def attribute(
         states, stride = _kept(lead(trial, recorded, library))
         if not states:
             raise StoreError(
-                f"{path} does not say what was applied in its trial", fix="run the trial again"
+                f"{path} does not record what was applied in its trial", fix="run the trial again"
             )
         limits = _limits(trial)
         tries: dict[int, Try] = {}

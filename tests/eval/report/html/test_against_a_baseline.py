@@ -58,7 +58,7 @@ def test_the_course_shows_whom_each_waypoint_stopped_and_where_they_part(page):
     high, low = section.one("table", class_="heat").cells[1:]
     assert high[:3] == ["hurdles/high", "0 of 5baseline 0 %", "3 of 5 worsebaseline 5 %"]
     assert low[0] == "hurdles/low"
-    assert "the baseline all starts of the baseline." in section.text
+    assert "the baseline all initial states of the baseline." in section.text
     assert "Baseline: 95 %, 92 %" in section.one("figure").one("svg").attributes["aria-label"]
 
 

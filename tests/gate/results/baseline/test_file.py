@@ -118,7 +118,10 @@ def test_a_baseline_of_sixteen_scenes_and_sixty_starts_is_small_enough_for_git(
         (lambda lines, _: lines[1].update(completed=False), "completed is False at success 1.0"),
         (lambda lines, _: lines[1].update(outcome="crashed"), "outcome 'crashed' is none of"),
         (lambda lines, _: lines[1].update(waypoints_reached=5), "5 of 4 waypoints reached"),
-        (lambda lines, _: lines[1].update(end_reason="a\x1b[2Jb"), "end_reason .* no plain line"),
+        (
+            lambda lines, _: lines[1].update(end_reason="a\x1b[2Jb"),
+            "end_reason .* not a plain line",
+        ),
         (lambda lines, _: lines[1].update(perturbation=[("friction", float("inf"))]), "friction"),
         (lambda lines, _: lines.append(lines[0]), "place_00: start 0 is there 2 times"),
         (lambda lines, _: lines.pop(0), "place_00: 3 initial states, its manifest says 4"),
@@ -126,14 +129,14 @@ def test_a_baseline_of_sixteen_scenes_and_sixty_starts_is_small_enough_for_git(
         (lambda lines, _: lines.reverse(), "not in the order of scene, perturbation and index"),
         (lambda lines, _: lines[0].update(panel=1), "results of machine 1, of 1 listed"),
         (lambda lines, _: lines.clear(), "no start in scene hurdles/place_00"),
-        (lambda _, manifest: manifest["key"]["scenes"].pop("hurdles/place_01"), "none of its mani"),
+        (lambda _, manifest: manifest["key"]["scenes"].pop("hurdles/place_01"), "not in its mani"),
         (lambda _, manifest: manifest["key"]["scenes"].update(x="y"), "no start in scene x of its"),
         (lambda _, manifest: manifest.update(starts=5), "4 initial states, its manifest says 5"),
         (lambda _, manifest: manifest.update(starts="many"), "manifest.starts: "),
         (lambda _, manifest: manifest.update(name="other"), "calls it other, its file is shipped"),
-        (lambda _, manifest: manifest.update(name="../a"), "'../a' is no name"),
-        (lambda _, manifest: manifest.update(note="\x1b[2J"), "is no plain line"),
-        (lambda _, manifest: manifest["panels"].append(manifest["panels"][0]), "one class of mach"),
+        (lambda _, manifest: manifest.update(name="../a"), "'../a' is not a name"),
+        (lambda _, manifest: manifest.update(note="\x1b[2J"), "is not a plain line"),
+        (lambda _, manifest: manifest["panels"].append(manifest["panels"][0]), "one machine type"),
         (
             lambda _, manifest: manifest.update(bank=2),
             "baseline of version 2, this nw-eval reads 1",
@@ -181,7 +184,7 @@ def test_the_rows_of_a_run_are_no_baseline_and_neither_is_anybodys_table(tmp_pat
     write_rows(rows, [make_row()], {})
     pq.write_table(pa.table({"x": [1]}), foreign)
     for path in (rows, foreign):
-        with pytest.raises(IncomparableError, match="is no baseline; save one from a run"):
+        with pytest.raises(IncomparableError, match="is not a baseline file; save one from a run"):
             reread(path)
 
 

@@ -41,7 +41,7 @@ CURVE = "| true drop | hurdles-state/go1-parkour | all-state/go1-parkour | hurdl
 ERRORS = (
     "| policy | wrong is | at most | panel | fresh, M = 5 to 12 | fresh, M = 30 to 400 | control |"
 )
-_COLUMNS = [f"{suite}, {drop}" for suite in ("hurdles", "all", "gaps") for drop in (".05", ".10")]
+_COLUMNS = [f"{suite}, {drop}" for suite in ("hurdles", "all", "gaps") for drop in ("0.05", "0.10")]
 BOUND = (
     "| true drop | hurdles-state/go1-parkour | all-state/go1-parkour | gaps-state/go1-act-depth |"
 )
@@ -50,7 +50,7 @@ DROPS = (0.0, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2)
 POLICIES = (
     # The question of the cells, in words, what is wrong, and what is promised.
     ("equal", "equally good", "REGRESSED, or a scene named", "blamed", 1),
-    ("drift", "equally good, on a machine where both are .05 worse", "the same", "blamed", 1),
+    ("drift", "equally good, on a machine where both are 0.05 worse", "the same", "blamed", 1),
     ("at tolerate", "worse by `tolerate`", "REGRESSED", "regressed", 1),
     ("at scene_drop", "no scene worse by more than `scene_drop`", "a scene named", "named", 1),
     ("at max_drop", "worse by `max_drop`", "PASS", "passed", 5),

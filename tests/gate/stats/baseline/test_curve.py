@@ -258,12 +258,12 @@ def test_progress_after_the_budget_is_the_curve():
     assert found.regressed[-1] == pytest.approx(point.regressed)
 
 
-def test_scenes_of_unequal_numbers_of_starts_are_no_baseline():
+def test_scenes_with_unequal_numbers_of_initial_states_are_not_a_baseline():
     seen, rules = few([[0, 10], [0, 12]])
-    with pytest.raises(ValueError, match="10 to 12 starts are no baseline"):
+    with pytest.raises(ValueError, match="10 to 12 initial states are not a baseline"):
         operating_curve(seen, rules, budget=20)
 
 
 def test_more_trials_than_there_are_starts_are_refused():
-    with pytest.raises(ValueError, match="320 trials of 16 scenes with 10 starts each"):
+    with pytest.raises(ValueError, match="320 trials of 16 scenes with 10 initial states each"):
         operating_curve(SEEN, RULES, budget=320)

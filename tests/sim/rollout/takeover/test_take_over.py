@@ -138,7 +138,7 @@ def test_a_log_without_a_card_says_so(make_job, library, tmp_path):
     ("start", "words"),
     [(-1.0, "--from -1; give seconds"), (1.0, "--from 1: .* ends at 1 s; give less")],
 )
-def test_a_moment_that_is_none_of_the_trial_is_refused(walked, library, start, words):
+def test_a_time_outside_the_trial_is_refused(walked, library, start, words):
     with pytest.raises(UsageError, match=words):
         take_over(walked[0], start=start, library=library)
 
@@ -153,7 +153,7 @@ def test_numbers_of_a_log_that_are_none_are_refused(walked, library, monkeypatch
             yield topic, time, message
 
     monkeypatch.setattr(LogReader, "messages", without_one)
-    with pytest.raises(StoreError, match="does not say what was applied in control step 3"):
+    with pytest.raises(StoreError, match="does not record what was applied in control step 3"):
         take_over(walked[0], start=0.5, library=library)
 
 

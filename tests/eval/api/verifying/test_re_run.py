@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from nw_eval import api
-from nw_eval.api.verifying_again import partings, partings_apart
+from nw_eval.api.verifying_trials import partings, partings_apart
 from nw_gate.results.ended import write_trials
 from nw_gate.results.journal import Journal, read_journal
 from nw_gate.results.provenance import read_run_info, write_run_info
