@@ -178,8 +178,8 @@ MOST = {
     ),
 }
 """What each package holds. A change that needs more says here what for, in the same commit."""
-TESTS = 112600
-"""Lines of all tests."""
+TESTS = 114900
+"""Lines of all tests; 2,300 more for reference motions, held joints and point clouds."""
 GROWTH = 1.02
 
 
