@@ -122,7 +122,7 @@ def forged(filled, tmp_path):
 def test_a_result_that_was_tampered_with_is_found_and_no_result_is_believed(filled, forged, place):
     wrong = api.run("tiny.yaml", out=place / "wrong", workers=1)
     assert (wrong.verdict.verdict, wrong.exit_code) == ("INFRASTRUCTURE", 4)
-    assert "came out otherwise than the cache of trials says" in wrong.verdict.reasons[0]
+    assert "has another result than in the cache of trials" in wrong.verdict.reasons[0]
     assert "start a new run" in wrong.verdict.reasons[0]
     assert not any(row.cached for row in wrong.rows)
     assert rows_digest(wrong.rows) == rows_digest(filled.rows)

@@ -313,7 +313,7 @@ def test_no_link_leads_out_of_a_part(logged, tmp_path):
     merged = api.merge(logged, out=tmp_path / "merged")
     assert len(list(merged.folder.rglob("*.mcap"))) == 11
     assert not (merged.folder / "foxglove.json").exists()
-    assert "1 log not there" in merged.verdict.reasons[-1]
+    assert "1 log missing" in merged.verdict.reasons[-1]
 
 
 @pytest.mark.parametrize("name", ["run.json", "journal.jsonl", "trials.parquet"])

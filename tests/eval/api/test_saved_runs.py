@@ -158,7 +158,7 @@ def test_rows_of_another_run_are_noticed_by_their_digest(saved, tmp_path):
             journal.append(one)
     write_trials(folder, info, worse)
     write_run_info(folder.run_json, info)
-    with pytest.raises(StoreError, match=r"other rows than run\.json says"):
+    with pytest.raises(StoreError, match=r"other rows than run\.json records"):
         api.report(folder.path)
     (tmp_path / "trials.parquet").replace(folder.trials)
     assert api.report(folder.path).verdict.success == 1.0

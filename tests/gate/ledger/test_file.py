@@ -83,7 +83,7 @@ def test_a_ledger_that_was_rewritten_is_not_the_one_of_its_head(ledger, entries)
     for entry in (entries[0], *entries[2:], entries[0]):
         append_entry(anew, entry)
     ledger.write_bytes(anew.read_bytes())
-    with pytest.raises(StoreError, match=r"ledger\.jsonl:5: another line than was written"):
+    with pytest.raises(StoreError, match=r"ledger\.jsonl:5: not the line that was written"):
         read_ledger(ledger)
 
 

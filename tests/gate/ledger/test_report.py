@@ -173,7 +173,7 @@ def test_the_best_of_many_on_one_panel_shows_more_than_it_is(make_entry):
     assert best.any_passes < 0.05 * 8
     page = ledger_page(ledger_report(entries))
     assert f"of 8 candidates the best, step-3 ({best.digest[:8]}), shows 0.910" in page
-    assert "`--seed-set fresh` judges the one that was chosen" in page
+    assert "`--seed-set fresh` confirms the chosen one" in page
     assert ledger_report(entries[:1]).best_of_many == ()
 
 

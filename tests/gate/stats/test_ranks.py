@@ -95,7 +95,7 @@ def test_scenes_weigh_equally_however_many_starts_they_have():
 
 
 def test_policies_with_other_starts_are_not_ranked():
-    with pytest.raises(ValueError, match="other numbers of starts"):
+    with pytest.raises(ValueError, match="different numbers of initial states"):
         possible_ranks([flat(1.0, starts=3), flat(1.0, starts=4)])
 
 

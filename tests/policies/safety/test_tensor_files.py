@@ -123,7 +123,7 @@ def test_safetensors_are_read():
     ours = read_tensors(data, "x.safetensors")
     assert torch.equal(ours["weight"], torch.from_numpy(weight))
     assert ours["step"].item() == 7
-    with pytest.raises(PolicyError, match=r"'step'.*not where the header says"):
+    with pytest.raises(PolicyError, match=r"'step'.*not where the header puts it"):
         read_tensors(data[:-4], "x.safetensors")
 
 

@@ -247,7 +247,7 @@ def test_bytes_behind_an_stl_are_told(tmp_path):
     ("data", "words"),
     [
         (_stl()[:-1], "its 12 facets need 684"),
-        (_stl()[:80] + bytes(4) + _stl()[84:], "it says 0 facets, and 600 bytes follow"),
+        (_stl()[:80] + bytes(4) + _stl()[84:], "its header has 0 facets, and 600 bytes follow"),
         (STL["ASCII"].replace(b"  vertex", b"  vertx", 1), "a facet of 2 vertices"),
         (STL["ASCII"][:-40], "a facet does not end"),
         (STL["ASCII"].replace(b"0.25", b"0.2x", 1), r"a\.stl:4: `vertex` is not followed by three"),
@@ -434,7 +434,7 @@ def test_a_node_without_triangles_moves_what_hangs_on_it(tmp_path):
             "it needs KHR_draco",
         ),
         (lambda t: t["buffers"][0].update(uri="a.bin"), "lie in 'a.bin'"),
-        (lambda t: t["nodes"][0].update(children=[0]), "are no tree"),
+        (lambda t: t["nodes"][0].update(children=[0]), "do not form a tree"),
         (lambda t: t["accessors"][1].update(count=1 << 40), "accessor 1 of"),
         (lambda t: t["accessors"][1].update(sparse={}), "is sparse"),
         (lambda t: t["nodes"].clear(), "IndexError"),

@@ -149,7 +149,7 @@ ZEROS = zstandard.compress(bytes(60 * 2**20))
     [
         (chunk(ZEROS, size=60 * 2**20), "unpacks to 62914560"),
         (chunk(ZEROS, size=2**40), "unpacks to 1099511627776"),
-        (chunk(ZEROS, size=1000), "not the one that it says"),
+        (chunk(ZEROS, size=1000), "not the one in its header"),
         (chunk(b"no zstd at all", size=10), "damaged"),
         (chunk(b"abc", compression="lz4"), "compressed by 'lz4', not zstd"),
         (chunk(b"\x05" + b"\xff" * 8 + b"abc", compression=""), "more in it than it can have"),

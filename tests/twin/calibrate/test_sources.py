@@ -198,7 +198,7 @@ def framed(pose):
         ({"fl_x": "wide"}, "fl_x of .* no number"),
         ({"fl_x": float("inf")}, "fl_x of .* no number"),
         ({"fl_x": -300.0}, "cannot be used"),
-        ({"applied_transform": [[1, 0], [0, 1]]}, "applied_transform of .* is no finite matrix"),
+        ({"applied_transform": [[1, 0], [0, 1]]}, "applied_transform of .* is not a finite matrix"),
         ({"applied_transform": [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]]}, "not a rotation"),
         ({"camera_model": "EQUIRECTANGULAR"}, "camera_model"),
         ({"camera_model": {"a": 1}}, "camera_model"),

@@ -235,7 +235,7 @@ def test_a_run_of_an_older_version_is_said_to_be_one_and_its_rows_are_compared_a
 def test_what_is_no_run_no_sample_and_no_root_is_refused(run, tmp_path):
     with pytest.raises(UsageError, match="not the folder of a run"):
         api.verify(tmp_path)
-    with pytest.raises(UsageError, match="no share of the trials"):
+    with pytest.raises(UsageError, match="neither a share nor a number of trials"):
         api.verify(run.path, trials="0%")
     with pytest.raises(UsageError, match="64 hex digits"):
         api.verify(run.path, root="abc")
