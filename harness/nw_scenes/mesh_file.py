@@ -430,8 +430,8 @@ def _no_surface(ply: Ply, names: Sequence[str]) -> None:
     if count:
         raise SceneError(
             f"{ply.path}: a point cloud: {count} points and no faces, so nothing to stand on",
-            fix="export the scan as a mesh (Scaniverse, Polycam: as GLB or OBJ), or mesh the "
-            "points, such as with CloudCompare",
+            fix="export the scan as a mesh (Scaniverse, Polycam: as GLB or OBJ), or give the file "
+            "to `nw-eval scenes import`",
         )
 
 

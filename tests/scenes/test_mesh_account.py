@@ -255,7 +255,7 @@ def test_files_of_other_formats_are_called_what_they_are(tmp_path):
         ("a.fbx", b"Kaydara FBX Binary", "an FBX scene; convert it"),
         ("a.usd", b"PXR-USDC", "a USD stage; convert it"),
         ("a.dae", b"<?xml version", "XML, such as COLLADA; convert it"),
-        ("a.las", b"LASF", "a LAS point cloud; mesh it"),
+        ("a.las", b"LASF", "a LAS point cloud; give its points"),
         ("a.ksplat", b"\0\1\0", "a Gaussian splat, which has no surface"),
         ("a.xyz", b"1 2 3", r"no format that is read here; give \.glb, \.obj"),
     ):

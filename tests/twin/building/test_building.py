@@ -160,7 +160,7 @@ def test_a_build_that_is_refused_keeps_an_earlier_capture(photographs, tmp_path,
             (capture / ".calibrate.sqlite").rmdir()
 
 
-@pytest.mark.parametrize(("z", "said"), [(0.0, "ready"), (-1.0, "mend the errors, then")])
+@pytest.mark.parametrize(("z", "said"), [(0.0, "ready"), (-1.0, "fix the errors, then")])
 def test_a_place_is_checked_and_its_suite_named(tmp_path, z, said):
     boxes = "boxes: [{center: [2.0, 0, 0.05], half_size: [0.5, 1.0, 0.05]}]"
     (tmp_path / "collision.yaml").write_text(boxes)

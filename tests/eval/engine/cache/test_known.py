@@ -253,7 +253,7 @@ def test_a_result_that_differs_voids_all_and_nothing_is_taken_over(go):
     assert [path for path in again.folder.cached.rglob("*") if path.is_file()] == []
     assert {row.outcome for row in again.rows} == {"fell"}
     [sentence] = again.info.differing
-    assert f"trial {again.office.started[0]} came out otherwise" in sentence
+    assert f"trial {again.office.started[0]} has another result" in sentence
     assert "fell after 50 steps" in sentence
     assert "in the cache completed" in sentence
     assert again.told == [f"{sentence}; 5 entries of the cache voided", "doubted"]
