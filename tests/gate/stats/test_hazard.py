@@ -139,7 +139,7 @@ def test_where_nobody_came_there_is_no_hazard_and_nothing_is_known():
 
 @pytest.mark.parametrize("ends", [[], [3], [3, -1]])
 def test_ends_that_are_none_are_refused(ends):
-    with pytest.raises(ValueError, match="no numbers of trials"):
+    with pytest.raises(ValueError, match="are not numbers of trials"):
         hazards(ends)
 
 

@@ -281,8 +281,8 @@ def whose_doing(change: BaselineChange) -> str:
     if not moved:
         return "No trial changed."
     if "policy" not in change.parts:
-        cause = " and ".join(others) or "an unrecorded cause"
-        return f"The policy is the same: the changes come from the {cause}, not a checkpoint."
+        cause = f"the {' and '.join(others)}" if others else "an unrecorded cause"
+        return f"The policy is the same: the changes come from {cause}, not a checkpoint."
     if not others:
         return "Only the policy differs: the changes come from it."
     return (

@@ -58,7 +58,7 @@ def test_scenes_say_which_starts_went_another_way_and_which_ended_otherwise(make
     assert baseline_mean(change.then) == 0.875
     assert baseline_mean(change.now) == 0.8125
     page = change_page(change)
-    assert "hurdles/place_00  0.875  0.750  -0.125  2 of 4          starts 3" in page
+    assert "hurdles/place_00  0.875  0.750  -0.125  2 of 4          states 3" in page
     assert "mean              0.875  0.812  -0.062" in page
 
 

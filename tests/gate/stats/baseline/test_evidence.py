@@ -387,7 +387,7 @@ def test_a_success_outside_the_unit_interval_is_refused(wrong):
 def test_a_baseline_needs_a_scene_and_a_start_and_a_result_of_each():
     with pytest.raises(ValueError, match="one scene at least"):
         Reference(means=np.zeros(0))
-    with pytest.raises(ValueError, match="one at least"):
+    with pytest.raises(ValueError, match="at least one"):
         Reference(means=np.ones(1), starts=0)
     with pytest.raises(ValueError, match="success nan is not between 0 and 1"):
         Reference.of(np.array([[1.0, nan]]))
