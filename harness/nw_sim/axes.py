@@ -284,7 +284,7 @@ _ALL = (
         "suite's task.",
         unit="m/s",
         neutral=None,  # The suite's own command.
-        nominal=0.5,
+        nominal=0.0,
         low=-5.0,
         high=5.0,
         slider=(0.0, 2.0, 0.05),
@@ -297,7 +297,7 @@ _ALL = (
         "of the suite's task.",
         unit="rad/s",
         neutral=None,
-        nominal=0.5,
+        nominal=0.0,
         low=-5.0,
         high=5.0,
         slider=(-2.0, 2.0, 0.05),

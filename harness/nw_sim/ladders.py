@@ -37,8 +37,9 @@ _AXES: Mapping[str, tuple[float, ...]] = MappingProxyType(
         "fog": steps(0.0, 1.3, 0.1),
         "exposure": steps(1.0, 0.09, 0.07),
         "strength": steps(1.0, 0.35, 0.05),
-        "speed": steps(0.2, 1.5, 0.1),
-        "turn_rate": steps(0.1, 1.4, 0.1),
+        # Above what the tolerance of the task `velocity` passes of a robot that stands still.
+        "speed": steps(0.3, 1.6, 0.1),
+        "turn_rate": steps(0.4, 1.7, 0.1),
     }
 )
 """Published values of axes, from easy to hard."""

@@ -155,7 +155,7 @@ def test_records_of_extensions_that_are_cut_short_or_unheard_of(tmp_path):
     unknown = with_record(struct.pack("<III", 0x12345678, 4, 1))
     assert np.array_equal(unknown.means, plain.means)
     for record, words in (
-        (struct.pack("<II", 0x12345678, 400), "says 400 bytes"),
+        (struct.pack("<II", 0x12345678, 400), "claims 400 bytes"),
         (b"\0" * 5, "cut short"),
         (struct.pack("<III", 0xADBE0003, 4, 17), "its axes are number 17"),
     ):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from nw_base.plural import plural
 from nw_eval.api.plans import plan, plan_of
 from nw_eval.engine.rounds import RunStanding
+from nw_eval.suite.ladders import COMMANDED_DURATION, climbed_episode
 from nw_gate.limits.ladder import Ladder, LimitTrial
 from nw_gate.results.request import Request
 
@@ -38,8 +39,6 @@ _LONGEST_NAME = 60
 """Characters of a suite's name."""
 _DURATION = 12.0
 """Seconds of a trial, as in the shipped suites."""
-_COMMANDED_DURATION = 8.0
-"""Seconds of a trial with a velocity command: the fastest rung ends 12 m from the start."""
 
 
 def rungs_ladder(family: SceneLadder) -> Ladder:
@@ -85,7 +84,7 @@ def ladder_plan(
         policy=request.policy,
         seed=request.seed,
         episode={
-            "duration": _COMMANDED_DURATION if family.is_commanded else _DURATION,
+            "duration": COMMANDED_DURATION if family.is_commanded else _DURATION,
             "contact_termination": not contacts,
         },
     )
@@ -108,9 +107,6 @@ def ladder_plan_of_run(
 
     own, each = run.suite, _each(family, most)
     bundle = bundle or run.bundle
-    episode = own.episode.model_dump()
-    if family.is_commanded:
-        episode["duration"] = min(own.episode.duration, _COMMANDED_DURATION)
     suite = _suite(
         family,
         each,
@@ -118,7 +114,7 @@ def ladder_plan_of_run(
         policy=own.policy,
         seed=own.seed,
         protocol=own.protocol,
-        episode=episode,
+        episode=climbed_episode(own.episode, is_commanded=family.is_commanded).model_dump(),
         render=own.render.model_dump(),
     )
     request = Request(

@@ -386,6 +386,8 @@ def _shown(
 def _fault_of(own: _Climbed, info: RunInfo, suite: Suite) -> str:
     """Return what of a run on a ladder is not as of the run that it lies in; empty if nothing."""
     from nw_eval.api.saved_run import saved_suite
+    from nw_eval.suite.ladders import climbed_episode
+    from nw_sim.axes import COMMANDED
     from nw_sim.ladders import ladder_named
 
     theirs, ours = own.run.policy, info.policy
@@ -395,7 +397,10 @@ def _fault_of(own: _Climbed, info: RunInfo, suite: Suite) -> str:
     ):
         return f"its policy is {theirs.name} ({theirs.short_digest})"
     rules = saved_suite(own.run)
-    for rule in ("robot", "protocol", "seed", "episode", "render"):
+    commanded = any(axis in COMMANDED for _, cell in own.cells for axis, _ in cell)
+    if rules.episode != climbed_episode(suite.episode, is_commanded=commanded):
+        return "its episode is another one"
+    for rule in ("robot", "protocol", "seed", "render"):
         if getattr(rules, rule) != getattr(suite, rule):
             return f"its {rule} is another one"
     try:

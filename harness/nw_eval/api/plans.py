@@ -242,15 +242,17 @@ def _try_axes(trials: Sequence[Trial], suite: Suite, bundle: Bundle) -> None:
 
     Raises:
         PluginError: one of a package cannot.
-        UsageError: a camera cannot see so wide an angle.
+        UsageError: a camera cannot see so wide an angle, or the task has no command to change.
     """
     from nw_policies.cards import mounted_robot
     from nw_scenes.robots import get_robot
     from nw_sim.rollout.perturbed import TrialSetup, perturbed
+    from nw_sim.tasks.commanded import with_command
 
     robot = mounted_robot(get_robot(suite.robot), bundle.card)
     for cell, trial in {trial.perturbation: trial for trial in trials}.items():
-        perturbed(TrialSetup.of(trial, robot, bundle.card), dict(cell))
+        setup = perturbed(TrialSetup.of(trial, robot, bundle.card), dict(cell))
+        with_command(suite.task, setup.command)
 
 
 def baseline_plan(plan: Plan, bundle: Bundle) -> Plan:

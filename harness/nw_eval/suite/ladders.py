@@ -8,7 +8,7 @@ from nw_base.errors import NwEvalError, UsageError
 from nw_gate.limits.ladder import Ladder
 
 if TYPE_CHECKING:
-    from nw_eval.suite.model import Suite
+    from nw_eval.suite.model import EpisodeRules, Suite
     from nw_sim.ladders import Ladder as SceneLadder
     from nw_sim.tasks import TaskFault
 
@@ -17,6 +17,22 @@ def gated_ladder(family: SceneLadder) -> Ladder:
     """Return a ladder by the name that a suite's gate has for it."""
     values = tuple(rung.value for rung in family.rungs)
     return Ladder(name=family.name, rungs=values, unit=family.unit)
+
+
+COMMANDED_DURATION = 8.0
+"""Seconds of a trial with a velocity command: the fastest rung ends 13 m from the start."""
+
+
+def climbed_episode(episode: EpisodeRules, *, is_commanded: bool) -> EpisodeRules:
+    """Return the rules of trials on a ladder of a suite's gate: those of the suite.
+
+    Args:
+        episode: of the suite.
+        is_commanded: whether rungs are velocity commands, whose trials are shorter.
+    """
+    if not is_commanded:
+        return episode
+    return episode.model_copy(update={"duration": min(episode.duration, COMMANDED_DURATION)})
 
 
 def ladder_faults(

@@ -627,9 +627,8 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
             if function == "generated_commands" and command in motions:
                 function = MOTION_COMMAND
             described = _manager_term(name, term, function=function, steps=steps)
-            grid, turn = _grid_of(scene, term.below("params"))
-            if turn not in {None, True, "yaw"}:
-                notes.append(f"{name} has rays that turn as `{turn}`; the card's turn with the yaw")
+            grid, other = _grid_of(scene, term.below("params"))
+            notes += [f"{name} has what a card's scan has not: {each}" for each in other]
             width = described.width if grid is None else grid.x[2] * grid.y[2]
             terms.append(replace(described, grid=grid, width=width))
     names, is_guess = _joint_order(action, robot)
@@ -671,8 +670,12 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
     )
 
 
-def _grid_of(scene: Data, params: Data) -> tuple[HeightGrid | None, Any]:
-    """Return the grid of a term's sensor, of Isaac Lab or of mjlab, and what its rays turn with.
+_SCAN_REACH = 10.0
+"""m, of a grid from the root and of its offset: more is not a scan of the ground at a robot."""
+
+
+def _grid_of(scene: Data, params: Data) -> tuple[HeightGrid | None, list[str]]:
+    """Return the grid of a term's sensor, of Isaac Lab or of mjlab, and what a card's cannot be.
 
     Points are those of `torch.arange(-size / 2, size / 2 + 1e-9, resolution)` on both axes. They
     vary fastest along x where the pattern's `ordering` is `xy`, as it is by default.
@@ -686,24 +689,38 @@ def _grid_of(scene: Data, params: Data) -> tuple[HeightGrid | None, Any]:
     pattern = sensor.below("pattern_cfg" if is_isaac else "pattern")
     size, step = pattern.numbers("size"), pattern.number("resolution")
     if len(size) != 2 or not step or min(size) < 0.0 or step < 0.0 or max(size) / step > 500:
-        return None, None
-    turn = sensor.get("ray_alignment", sensor.get("attach_yaw_only"))
-    middle = (*sensor.below("offset").numbers("pos"), 0.0, 0.0)
+        return None, []
+    mounted = sensor.below("offset")
+    usual: list[tuple[str, Any, tuple[Any, ...]]] = [
+        ("rays that turn as", sensor.get("ray_alignment", True), ("yaw", True)),
+        ("attach_yaw_only", sensor.get("attach_yaw_only", True), (True,)),
+        ("ordering", pattern.get("ordering", "xy"), ("xy", "yx")),
+        ("direction", pattern.get("direction", [0, 0, -1]), ([0, 0, -1],)),
+        ("rot", mounted.get("rot", [1, 0, 0, 0]), ([1, 0, 0, 0],)),
+    ]
+    other = [f"{what} {value!r}" for what, value, known in usual if value not in known]
+    at, own = (
+        mounted.numbers("pos") if "pos" in mounted else (0.0, 0.0, 0.0),
+        params.number("offset"),
+    )
+    # `height_scan` of Isaac Lab takes off 0.5 m unless told otherwise; mjlab's nothing.
+    offset = (0.5 if is_isaac else 0.0) if own is None else own
+    if len(at) != 3 or max(*size, *map(abs, at[:2]), abs(offset)) > _SCAN_REACH:
+        return None, [*other, f"pos {list(at)}, size {list(size)}, offset {offset:g}"]
     axes: list[tuple[float, float, int]] = []
-    for length, centre in zip(size, middle, strict=False):
+    for length, centre in zip(size, at, strict=False):
         count = int(length / step + 1e-6) + 1
         first = centre - length / 2
         axes.append((round(first, 6), round(first + step * (count - 1), 6), count))
-    own = params.number("offset")
+    path = sensor.get("prim_path")
     grid = HeightGrid(
         x=axes[0],
         y=axes[1],
         order="y_fastest" if pattern.get("ordering") == "yx" else "x_fastest",
-        # `height_scan` of Isaac Lab takes off 0.5 m unless told otherwise; mjlab's nothing.
-        offset=-((0.5 if is_isaac else 0.0) if own is None else own),
-        body=str(sensor.get("prim_path", "")).rpartition("/")[2],
+        offset=-offset,
+        body=path.rpartition("/")[2] if isinstance(path, str) else "",
     )
-    return grid, turn
+    return grid, other
 
 
 def _direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:

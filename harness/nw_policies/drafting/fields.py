@@ -55,9 +55,9 @@ _PASSED_OVER: Mapping[str, Mapping[str, str]] = {
             scene\.(?!robot|entities|height_scanner)\w+(\..*)?|scene\.entities\.(?!robot)\w+.*
         """,
         "heights are looked up in the scene": r"""
-            scene\.height_scanner\.(class_type|update_period|debug_vis|offset\.rot|max_distance|
+            scene\.height_scanner\.(class_type|update_period|debug_vis|max_distance|
             mesh_prim_paths|(ray_cast_)?drift_range(\..*)?|visualizer_cfg(\..*)?|history_length|
-            pattern_cfg\.(func|direction))
+            pattern_cfg\.func)
         """,
         "the robot is ours": r"""
             (scene\.(entities\.)?)?robot\.(prim_path|spawn|spawn_fn|collision_group|collisions|
@@ -268,8 +268,12 @@ def account(name: str, kinds: Iterable[str], data: Fields) -> tuple[str, ...]:
 
 def number_of(value: Any) -> float | None:
     """Return a value as a finite number; None if it is not one."""
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return float(value) if is_number and math.isfinite(value) else None
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return None
+    try:
+        return number if math.isfinite(number := float(value)) else None
+    except OverflowError:  # An integer of hundreds of digits.
+        return None
 
 
 def numbers_of(value: Any) -> tuple[float, ...]:

@@ -31,7 +31,7 @@ from nw_scenes.robots.spec import remounted
 from nw_sim.axes import AXES, Felt, axis_named
 from nw_sim.physics import Actuators
 from nw_sim.sensors.sensor import CLEAR, Air
-from nw_sim.tasks.commanded import is_commanded
+from nw_sim.tasks.commanded import Asked, is_commanded
 from nw_sim.tasks.task import TaskSettings
 
 if TYPE_CHECKING:
@@ -107,7 +107,12 @@ class TrialSetup:
         return replace(self, **changes)
 
     def commanding(self, **parts: float) -> Self:
-        """Return a setup whose task commands parts of a velocity: `vx`, `vy`, `yaw`."""
+        """Return a setup whose task commands parts of a velocity: `vx`, `vy`, `yaw`.
+
+        Raises:
+            ValueError: there is no such part, or it is too fast for a command.
+        """
+        Asked.model_validate(parts)
         return replace(self, command={**self.command, **parts})
 
     def with_strength(self, strength: float) -> Self:

@@ -33,6 +33,8 @@ _MOST = 20_000_000
 _THINNED = 300_000
 """Points that a surface is drawn through, at most."""
 _FEWEST = 1000
+_FARTHEST = 1e9
+"""Of a coordinate, in units of the file: survey coordinates have up to 1e8 cm."""
 _SAMPLE = 20_000
 """Points whose nearest neighbours say how far points are apart."""
 _APART = 1.5
@@ -106,7 +108,12 @@ def read_cloud(source: Path) -> Cloud:
         reason = (isinstance(error, OSError) and error.strerror) or error
         raise SceneError(f"{source}: the points cannot be read: {reason}") from None
     cloud = _read_las(source) if source.suffix.lower() in LAS_SUFFIXES else _read_ply(source)
-    whole = np.isfinite(cloud.points).all(axis=1)
+    whole = np.asarray(np.isfinite(cloud.points).all(axis=1))
+    if (most := float(np.abs(cloud.points[whole]).max(initial=0.0))) > _FARTHEST:
+        raise SceneError(
+            f"{source}: coordinates of up to {most:.3g}: single numbers cannot tell points there",
+            fix="export it in metres, near its origin",
+        )
     if cloud.normals is not None:
         length = np.linalg.norm(cloud.normals, axis=1)
         usable = np.isfinite(length) & (length > 0.5)
@@ -116,10 +123,26 @@ def read_cloud(source: Path) -> Cloud:
         else:
             whole &= usable
             cloud = replace(cloud, normals=cloud.normals / np.maximum(length, 1e-9)[:, None])
+    points = np.where(whole[:, None], cloud.points, 0.0)
+    # One stray point would make all others one place; what is far beyond all others goes.
+    low, high = np.quantile(points[whole], (0.001, 0.999), axis=0) if whole.any() else points[:2]
+    room = np.maximum(high - low, 1e-9)
+    near = ((points >= low - room) & (points <= high + room)).all(axis=1)
+    stray = int((whole & ~near).sum())
+    whole &= near
+    # Two exports of one scan in one file have each point twice.
+    kept = np.zeros(len(points), np.bool_)
+    _, first = np.unique(points[whole], axis=0, return_index=True)
+    kept[np.flatnonzero(whole)[first]] = True
+    whole = kept
+    if stray:
+        cloud = replace(
+            cloud, unread=(*cloud.unread, plural(stray, "point") + " far from all others")
+        )
     count = int(whole.sum())
     if count < _FEWEST:
         raise SceneError(
-            f"{source}: a point cloud of {plural(count, 'point')}: too few for a surface",
+            f"{source}: a point cloud of {plural(count, 'different point')}: too few for a surface",
             fix=f"export it with {_FEWEST:,} points or more, or as a mesh",
         )
     return replace(
@@ -142,8 +165,7 @@ def _read_ply(source: Path) -> Cloud:
     points, shades = columns("x", "y", "z"), columns("red", "green", "blue")
     assert points is not None, "is_cloud says so"
     if shades is not None:
-        kind = table.dtype["red"]
-        shades = np.clip(shades / (1.0 if kind.kind == "f" else float(np.iinfo(kind).max)), 0, 1)
+        shades = _shares(shades, is_byte=table.dtype["red"] == np.uint8)
     known = {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha"}
     return Cloud(
         points=points,
@@ -151,6 +173,22 @@ def _read_ply(source: Path) -> Cloud:
         colours=shades,
         unread=tuple(sorted(names - known)),
     )
+
+
+def _shares(shades: Values, *, is_byte: bool) -> Values | None:
+    """Return colours (N, 3) as shares of white; None where all are black or one is no number.
+
+    Files have them to 255, to 65,535 or to 1, whatever the type of their numbers says.
+
+    Args:
+        shades: as a file has them.
+        is_byte: whether they are up to 255 at least.
+    """
+    most = float(shades.max(initial=0.0))
+    if not np.isfinite(shades).all() or most <= 0.0:
+        return None
+    white = 65535.0 if most > 255.0 else 255.0 if is_byte or most > 1.0 else 1.0
+    return np.clip(shades / white, 0.0, 1.0)
 
 
 def _read_las(source: Path) -> Cloud:
@@ -172,10 +210,8 @@ def _read_las(source: Path) -> Cloud:
         raise SceneError(f"{source}: {count:,} points", fix=f"thin it below {_MOST:,}")
     colours = None
     if {"red", "green", "blue"} <= names:
-        shades = np.stack([np.asarray(read[one], np.float64) for one in ("red", "green", "blue")])
-        # 16 bits by the standard; many programs write 8.
-        most = float(shades.max(initial=0.0))
-        colours = shades.T / (65535.0 if most > 255.0 else 255.0) if most > 0.0 else None
+        shades = [np.asarray(read[one], np.float64) for one in ("red", "green", "blue")]
+        colours = _shares(np.stack(shades, axis=-1), is_byte=True)
     return Cloud(points=points, normals=None, colours=colours, unread=())
 
 
@@ -211,7 +247,7 @@ def surfaced(source: Path, up: str) -> tuple[PaintedMesh, list[str]]:
         )
     if cloud.normals is None:
         thinned.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_ROUND))
-        thinned.orient_normals_consistent_tangent_plane(_SIDE)
+        _to_one_side(thinned, o3d, source)
         _to_the_open(thinned, o3d, up)
     mesh = _poisson(thinned, spacing, o3d)
     vertices = np.asarray(mesh.vertices).astype(np.float64) + middle
@@ -258,6 +294,24 @@ def _thinned(cloud: Any) -> tuple[Any, float]:
         spacing *= 1.2
         thinned = cloud.voxel_down_sample(spacing)
     return thinned, spacing
+
+
+def _to_one_side(cloud: Any, o3d: Any, source: Path) -> None:
+    """Give the normals of a cloud one side of its surface.
+
+    Raises:
+        SceneError: the points lie on a line.
+    """
+    points, normals = np.asarray(cloud.points), np.asarray(cloud.normals)
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] < 1e-4 * spread[0]:
+        raise SceneError(f"{source}: its points lie on a line", fix="export the scan as a mesh")
+    if spread[2] < 1e-6 * spread[0]:
+        # All in one plane: the triangulation that neighbours come from has no volume there.
+        plane = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
+        cloud.normals = o3d.utility.Vector3dVector(np.tile(plane, (len(normals), 1)))
+        return
+    cloud.orient_normals_consistent_tangent_plane(_SIDE)
 
 
 def _to_the_open(cloud: Any, o3d: Any, up: str) -> None:

@@ -33,7 +33,7 @@ def test_a_trajectory_is_the_same_from_its_file(tmp_path):
 def test_files_that_are_no_trajectories_are_told_from_those_that_are(tmp_path):
     path = tmp_path / "one.npz"
     path.write_bytes(b"PK\x03\x04 not really")
-    with pytest.raises(StoreError, match="no trajectory"):
+    with pytest.raises(StoreError, match="not a trajectory"):
         read_trajectory(path)
     trajectory(1).write(path)
     arrays = dict(np.load(path))

@@ -80,7 +80,8 @@ def test_scenes_are_those_of_the_training_split_alone():
     without_course = {"flat/carpet_room", *(name for name in names() if name.startswith("open/"))}
     assert set(names("train")) | set(EVALUATION) | without_course == set(names())
     assert not set(names("train")) & set(EVALUATION)
-    for name, fault in (("hurdles/three_low", "kept for evaluation"), ("a/b", "not a training scene")):
+    faults = {"hurdles/three_low": "kept for evaluation", "a/b": "not a training scene"}
+    for name, fault in faults.items():
         with pytest.raises(ValidationError, match=fault):
             CourseSettings.model_validate({"scenes": [name]})
 

@@ -157,7 +157,7 @@ def test_every_file_of_weights_is_verified(tmp_path):
     path = written(tmp_path)
     load_bundle(path)
     (tmp_path / "encoder.onnx").write_bytes(b"tampered")
-    expected = r"encoder\.onnx: .*that on the card is .*correct `networks\.adaptation\.checkpoint\.sha256"
+    expected = r"encoder\.onnx: .*that on the card is .*`networks\.adaptation\.checkpoint\.sha256"
     with pytest.raises(PolicyError, match=expected):
         load_bundle(path)
     (tmp_path / "encoder.onnx").unlink()

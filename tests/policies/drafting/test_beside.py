@@ -215,7 +215,12 @@ def test_a_scan_of_heights_is_measured_where_env_yaml_has_its_sensor(
     ("old", "new", "said"),
     [
         ("Robot/base", "Robot/torso_link", "the training counts heights from torso_link"),
-        ("alignment: yaw", "alignment: base", "height_scan has rays that turn as `base`"),
+        ("alignment: yaw", "alignment: base", "height_scan has what a card's scan has not: rays"),
+        ("alignment: yaw", "alignment: [yaw]", "height_scan has what a card's scan has not: rays"),
+        ("ordering: yx", "ordering: zz", "height_scan has what a card's scan has not: ordering"),
+        ("direction: [0, 0, -1]", "direction: [1, 0, -1]", "scan has not: direction [1, 0, -1]"),
+        ("[1.0, 0.0, 0.0, 0.0]", "[0.7, 0.0, 0.0, 0.7]", "has not: rot [0.7, 0.0, 0.0, 0.7]"),
+        ("[0.2, 0.0, 20.0]", "[1e300, 0.0, 20.0]", "scan has not: pos [1e+300, 0.0, 20.0]"),
     ],
 )
 def test_what_a_card_has_no_word_for_in_a_scan_is_to_be_checked(card_of, old, new, said):
@@ -224,7 +229,8 @@ def test_what_a_card_has_no_word_for_in_a_scan_is_to_be_checked(card_of, old, ne
         "\nactions:\n", HEIGHTS + "actions:\n"
     )
     drafted, _ = card_of(80, {"../params/env.yaml": text})
-    assert f"CHECK: {said}" in drafted or f"CHECK {said}" in drafted
+    (line,) = [line for line in drafted.splitlines() if said in line]
+    assert "CHECK" in line
 
 
 def test_env_yaml_says_what_its_patterns_say_of_each_joint(card_of):

@@ -17,7 +17,8 @@ from nw_sim.rollout.opening import open_trial
 from nw_sim.rollout.perturbed import EVERY, Pushes, TrialSetup, perturbed, unfelt
 from nw_sim.rollout.trial import run_trial
 from nw_sim.sensors.sensor import FOG, Air
-from nw_sim.tasks.commanded import VelocitySettings
+from nw_sim.tasks import COURSE
+from nw_sim.tasks.commanded import Asked, VelocitySettings, with_command
 from nw_splat.image import Image
 
 PUBLISHED = "neverwhere-2026"
@@ -124,7 +125,11 @@ def test_an_axis_of_the_command_is_that_constant_command(library, make_job, axis
 
     changed = walked_at(asked, ((axis, FELT[axis]),))
     assert changed == walked_at({"constant": velocity})
-    assert changed != walked_at(asked)
+    # The policy takes the forward speed of a command alone.
+    assert (changed != walked_at(asked)) is (axis == "speed")
+    settings = VelocitySettings.model_validate({"command": asked})
+    told = with_command(settings, {COMMANDED[axis]: FELT[axis]}).command.constant
+    assert told == Asked(**velocity)
 
 
 def test_a_course_has_no_command_to_change(library, make_job):
@@ -221,8 +226,10 @@ def test_fog_hides_by_distance_and_exposure_scales():
 
 def test_what_a_policy_cannot_feel_is_known(library):
     blind, seeing = (library.bundle(name, None).card for name in ("go1-parkour", "go1-act-rgb"))
-    assert unfelt(blind, FELT) == [axis for axis in FELT if axis in SEES]
-    assert unfelt(seeing, FELT) == []
+    asked = VelocitySettings.model_validate({"command": {"constant": {}}})
+    assert unfelt(blind, FELT, asked) == [axis for axis in FELT if axis in SEES]
+    assert unfelt(seeing, FELT, asked) == []
+    assert unfelt(seeing, FELT, COURSE) == list(COMMANDED), "a course has no command"
 
 
 def test_values_out_of_range_and_unknown_axes_are_refused(library, make_job):

@@ -62,8 +62,8 @@ def test_an_alignment_survives_the_disk(tmp_path):
         ('"nw-align": 1', '"nw-align": 2', "nw-align"),
         ('"scale": ', '"scale": 3', "its matrix has the scale"),
         ('"scale": ', '"scale": -', "greater than 0"),
-        ('"warnings"', '"alarms"', "no alignment"),
-        ("{", "", "no alignment"),
+        ('"warnings"', '"alarms"', "not an alignment"),
+        ("{", "", "not an alignment"),
     ],
 )
 def test_a_damaged_file_is_an_error_in_words(tmp_path, old, new, message):

@@ -130,7 +130,7 @@ def photographs(tmp_path):
         ("in", "room", ("--name", ""), "name '': "),
         ("in", "room", ("--held-out", "low_*"), "'low_*' holds out 0 of 4 photographs"),
         ("in", "new/room", ("--held-out", "*.jpg"), "'*.jpg' holds out 4 of 4 photographs"),
-        ("in", "new/room", ("--length", "0.jpg:1,1", "0.jpg:99,1", "1"), "outside of the photo"),
+        ("in", "new/room", ("--length", "0.jpg:1,1", "0.jpg:99,1", "1"), "outside the photo"),
     ],
 )
 @pytest.mark.usefixtures("photographs")
