@@ -187,6 +187,15 @@ def test_what_the_card_must_say_is_asked_for(policy, world, said, cut, words):
         motion_of(policy(csv(root, angles[:, :cut]), said=said), world)
 
 
+def test_a_motion_of_very_few_frames_a_second_takes_no_memory(policy, world):
+    arrays = dict(np.load(io.BytesIO(npz(world, *waving(3), list(range(12))))))
+    arrays["fps"] = np.array([1e-6])
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    with pytest.raises(PolicyError, match="3 frames at 1e-06 a second are more than 200000"):
+        motion_of(policy(buffer.getvalue(), name="motion.npz", said="anchor: trunk"), world)
+
+
 def test_joints_that_a_file_lacks_keep_the_default_pose(policy, world):
     root, angles = waving()
     bundle = policy(csv(root, angles[:, [3, 0]]), said="rate: 50, joints: [FL_hip, FR_hip]")
@@ -330,7 +339,7 @@ def test_a_shorter_motion_that_is_over_completes_nothing(policy, tmp_path):
 def test_a_policy_without_a_motion_takes_over_no_trial_of_one(policy, tmp_path):
     log = tmp_path / "trial.mcap"
     tracked(policy(csv(*still())), start=0.0, mcap=log)
-    with pytest.raises(PolicyError, match="'stand' tracks no motion, and the task of .* is track"):
+    with pytest.raises(PolicyError, match=r"'stand' tracks no motion, and the task of .* is track"):
         take_over(log, start=0.5, policy="stand")
 
 
@@ -380,6 +389,14 @@ def test_the_motion_is_part_of_the_policys_identity(policy):
 def test_a_motion_that_is_not_the_one_the_card_means_is_refused(policy):
     with pytest.raises(PolicyError, match="the motion's SHA-256 is"):
         policy(csv(*waving()), said=f"rate: 50, sha256: {'f' * 64}")
+
+
+def test_a_motion_that_is_missing_is_called_so(policy, tmp_path):
+    policy(csv(*waving()))
+    (tmp_path / "motion.csv").unlink()
+    with pytest.raises(PolicyError, match=r"motion\.csv: the motion is missing") as error:
+        load_bundle(tmp_path)
+    assert "--checkpoint" not in error.value.fix
 
 
 def test_a_card_names_bodies_and_joints_of_its_robot():
