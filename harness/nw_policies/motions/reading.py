@@ -352,8 +352,8 @@ def _onnx(data: bytes, where: str) -> MotionFile:
             tables[name] = _double(table)
     if "ref_pos_xyz" in tables:  # holosoma: of the anchor alone.
         _require(tables, ("joint_pos", "joint_vel", "ref_quat_xyzw"), where)
-        named = (tables[name] for name in ("ref_pos_xyz", "ref_quat_xyzw", "joint_pos"))
-        motion = _of_root(None, *named, where)
+        root, xyzw = tables["ref_pos_xyz"], tables["ref_quat_xyzw"]
+        motion = _of_root(None, root, xyzw, tables["joint_pos"], where)
     else:
         _require(tables, ("joint_pos", "joint_vel", "body_pos_w", "body_quat_w"), where)
         motion = MotionFile(
