@@ -315,7 +315,7 @@ class Bundle:
         return b"" if self.motion is None else self._read(self.motion, "motion")
 
     def _read(self, file: Weights, what: str) -> bytes:
-        data = _read(file.path, self.folder)
+        data = _read(file.path, self.folder, what=what, is_own=what == "checkpoint")
         if hashlib.sha256(data).hexdigest() != file.sha256:
             raise PolicyError(
                 f"{file.path}: the {what} changed while it was in use",
@@ -403,10 +403,10 @@ def load_bundle(
 
 def _verified(card_path: Path, named: Checkpoint, *, key: str = "checkpoint") -> Weights:
     """Return the file that a key of the card names, with the digest that the card says."""
-    is_own = key == "checkpoint"
-    weights = _measured(_beside(card_path, named.file), card_path, named.source, is_own=is_own)
+    what = "motion" if key == "reference" else "checkpoint"
+    path, is_own = _beside(card_path, named.file, what), key == "checkpoint"
+    weights = _measured(path, card_path, named.source, what, is_own=is_own)
     if named.sha256 is not None and weights.sha256 != named.sha256:
-        what = "motion" if key == "reference" else "checkpoint"
         raise PolicyError(
             f"{weights.path}: the {what}'s SHA-256 is {weights.sha256}, that on the card is "
             f"{named.sha256}",
@@ -415,8 +415,15 @@ def _verified(card_path: Path, named: Checkpoint, *, key: str = "checkpoint") ->
     return weights
 
 
-def _measured(path: Path, card_path: Path, source: str | None, *, is_own: bool = True) -> Weights:
-    data = _read(path, card_path.parent, source, is_own=is_own)
+def _measured(
+    path: Path,
+    card_path: Path,
+    source: str | None,
+    what: str = "checkpoint",
+    *,
+    is_own: bool = True,
+) -> Weights:
+    data = _read(path, card_path.parent, source, what, is_own=is_own)
     return Weights(path, hashlib.sha256(data).hexdigest())
 
 
@@ -500,41 +507,51 @@ def _imports_code(card: Card) -> bool:
     return card.adapter.startswith("python:") or senses_by_code(card)
 
 
-def _beside(card_path: Path, file: str) -> Path:
-    """Return the path of a checkpoint, which may not leave the card's folder by a link either."""
+def _beside(card_path: Path, file: str, what: str) -> Path:
+    """Return the path of a file of a card, which may not leave its folder by a link either."""
     try:
         return inside(card_path.parent, file)
     except OutsideError as error:
         raise PolicyError(
-            f"{card_path}: checkpoint {file!r} is outside the card's folder: {error}",
-            fix="move the file into the card's folder; only --checkpoint may name one elsewhere",
+            f"{card_path}: {what} {file!r} is outside the card's folder: {error}",
+            fix="move the file into the card's folder"
+            + "; only --checkpoint may name one elsewhere" * (what == "checkpoint"),
         ) from None
 
 
-def _read(path: Path, folder: Path, source: str | None = None, *, is_own: bool = True) -> bytes:
+def _read(
+    path: Path,
+    folder: Path,
+    source: str | None = None,
+    what: str = "checkpoint",
+    *,
+    is_own: bool = True,
+) -> bytes:
     try:
         facts = path.stat()
         if not stat.S_ISREG(facts.st_mode):  # A device or a pipe may never end.
-            raise PolicyError(f"{path}: the checkpoint is not a file", fix="check the path")
+            raise PolicyError(f"{path}: the {what} is not a file", fix="check the path")
         size = facts.st_size
         if size > SIZE_LIMIT:
             raise PolicyError(
-                f"{path}: the checkpoint has {size / 2**20:.0f} MiB, over the limit of "
+                f"{path}: the {what} has {size / 2**20:.0f} MiB, over the limit of "
                 f"{SIZE_LIMIT // 2**20}",
-                fix="export the actor alone, without optimiser state",
+                fix="cut it into pieces"
+                if what == "motion"
+                else "export the actor alone, without optimiser state",
             )
         return path.read_bytes()
     except FileNotFoundError:
         origin = f" (from {source})" if source else ""
         raise PolicyError(
-            f"{path}: the checkpoint is missing",
+            f"{path}: the {what} is missing",
             fix=f"put it{origin} at {folder}" + (", or give --checkpoint FILE" * is_own)
             if path.is_relative_to(folder)
             else "check the path",
         ) from None
     except (OSError, ValueError) as error:  # A path with a zero byte is a ValueError.
         raise PolicyError(
-            f"{path}: the checkpoint cannot be read: "
+            f"{path}: the {what} cannot be read: "
             f"{(isinstance(error, OSError) and error.strerror) or error}",
             fix="check the path",
         ) from None

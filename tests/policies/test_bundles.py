@@ -75,7 +75,7 @@ def test_a_missing_checkpoint_names_the_file_and_the_fix(folder):
 
 def test_a_checkpoint_with_another_digest_is_refused(folder):
     (folder / "weights.onnx").write_bytes(b"tampered")
-    with pytest.raises(PolicyError, match="the card says") as caught:
+    with pytest.raises(PolicyError, match="that on the card is") as caught:
         load_bundle(folder)
     assert hashlib.sha256(b"tampered").hexdigest() in str(caught.value)
 

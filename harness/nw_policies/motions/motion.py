@@ -24,6 +24,13 @@ Array = NDArray[np.float64]
 
 FRAMES = 200_000
 """Most frames of a motion: more than an hour at 50 Hz."""
+BODIES = 512
+"""Most bodies of a motion, and most names."""
+LARGEST = 2**28
+"""Bytes of all arrays of a file in double precision: half an hour of a humanoid with its bodies."""
+_MOST = 1e4
+"""Largest number of a motion: m of a position, rad of a joint, rad/s of its rate."""
+_MOST_RATE = 1e4
 _UNIT = 0.02
 """By how much the norm of a quaternion may differ from 1; files are rounded."""
 
@@ -49,12 +56,12 @@ class MotionFile:
 
 
 def checked_motion(motion: MotionFile, where: str) -> MotionFile:
-    """Return a motion whose numbers have the right shapes and are finite, with unit quaternions.
+    """Return a motion whose numbers have the right shapes and sizes, with unit quaternions.
 
     Raises:
-        PolicyError: they are not; says which field, and at which frame.
+        PolicyError: they have not; says which field, and at which frame.
     """
-    count = len(motion.joint_positions)
+    count = len(np.atleast_1d(motion.joint_positions))
     if not 2 <= count <= FRAMES:
         raise PolicyError(
             f"{where}: the motion has {count} frames, and not 2 to {FRAMES}",
@@ -62,6 +69,11 @@ def checked_motion(motion: MotionFile, where: str) -> MotionFile:
         )
     joints = motion.joint_positions.shape[1] if motion.joint_positions.ndim == 2 else 0
     bodies = motion.positions.shape[1] if motion.positions.ndim == 3 else 0
+    if bodies > BODIES:
+        raise PolicyError(
+            f"{where}: the motion has {bodies} bodies, and at most {BODIES} are read",
+            fix="write the motion again with the bodies of the robot alone",
+        )
     wanted: dict[str, tuple[Array | None, tuple[int, ...]]] = {
         "joint angles": (motion.joint_positions, (count, joints or 1)),
         "joint velocities": (motion.joint_velocities, (count, joints)),
@@ -69,25 +81,18 @@ def checked_motion(motion: MotionFile, where: str) -> MotionFile:
         "orientations of bodies": (motion.quats, (count, bodies, 4)),
     }
     for name, (array, shape) in wanted.items():
-        if array is None:
-            continue
-        if array.shape != shape:
-            raise PolicyError(
-                f"{where}: {name} have the shape {array.shape}, and not {shape}",
-                fix="write the motion again: all fields have one row for each frame",
-            )
-        if not np.isfinite(array).all():
-            frame = int(np.argwhere(~np.isfinite(array))[0, 0])
-            raise PolicyError(
-                f"{where}: {name} are not finite at frame {frame}", fix="repair or cut the motion"
-            )
+        if array is not None:
+            _check(name, array, shape, where)
     if motion.joints and len(motion.joints) != joints:
         raise PolicyError(
             f"{where}: it names {len(motion.joints)} joints, and has angles of {joints}",
             fix="write the motion again with a name for each column",
         )
-    if motion.rate is not None and not 1.0 <= motion.rate <= 1000.0:
-        raise PolicyError(f"{where}: fps is {motion.rate:g}", fix="give 1 to 1000 frames a second")
+    if motion.rate is not None and not 0.0 < motion.rate <= _MOST_RATE:
+        raise PolicyError(
+            f"{where}: fps is {motion.rate:g}",
+            fix=f"give more than 0 and at most {_MOST_RATE:g} frames a second",
+        )
     norms = np.sqrt((motion.quats**2).sum(axis=-1))
     if (off := np.argwhere(np.abs(norms - 1.0) > _UNIT)).size:
         frame, body = off[0].tolist()
@@ -97,3 +102,19 @@ def checked_motion(motion: MotionFile, where: str) -> MotionFile:
             fix="check which columns hold the quaternion",
         )
     return replace(motion, quats=motion.quats / norms[..., np.newaxis])
+
+
+def _check(name: str, array: Array, shape: tuple[int, ...], where: str) -> None:
+    """Refuse numbers of another shape, and such as no motion has."""
+    if array.shape != shape:
+        raise PolicyError(
+            f"{where}: {name} have the shape {array.shape}, and not {shape}",
+            fix="write the motion again: all fields have one row for each frame",
+        )
+    for bad, words, fix in (
+        (~np.isfinite(array), "not finite", "repair or cut the motion"),
+        (np.abs(array) > _MOST, f"over {_MOST:g}", "write the motion in m and rad, or repair it"),
+    ):
+        if bad.any():
+            frame = int(bad.argmax()) * len(bad) // bad.size
+            raise PolicyError(f"{where}: {name} are {words} at frame {frame}", fix=fix)

@@ -127,15 +127,17 @@ class Index:
 
 @dataclass(frozen=True, kw_only=True)
 class Opaque:
-    """A harmless value that is not needed here, such as a NumPy scalar."""
+    """A harmless value of which no tensor is made, such as a NumPy scalar."""
 
     name: str
+    number: TensorRef | None = None
+    """Of a NumPy scalar in a pickle: the number, as an array without axes."""
 
 
+_SCALAR = {"numpy.core.multiarray.scalar", "numpy._core.multiarray.scalar"}
 _OPAQUE = {
     "_codecs.encode",
-    "numpy.core.multiarray.scalar",
-    "numpy._core.multiarray.scalar",
+    *_SCALAR,
     "numpy.dtype",
     # Of the random generator that a space of Gymnasium keeps.
     "numpy.random._pickle.__generator_ctor",
@@ -405,6 +407,8 @@ def _call_of_arrays(name: str, arguments: tuple[Any, ...]) -> Any:
             (Global(name=function), (Global(name="numpy.ndarray"), *_), state, *_),
         ) if function in _RECONSTRUCT:
             return Record(name=_ARRAY, state=_array(state))
+        case _, (_Dtype() as dtype, bytes() as raw) if name in _SCALAR:
+            return Opaque(name=name, number=_array((None, (), dtype, False, raw)))
         case "_codecs.encode", (str() as letters, "latin1"):  # Bytes, before protocol 3.
             return letters.encode("latin1")
         case "flax.core.frozen_dict.FrozenDict", (dict() as items,):

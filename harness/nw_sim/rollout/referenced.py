@@ -19,6 +19,7 @@ from nw_base.memory import pack, unpack
 from nw_base.plural import plural
 from nw_policies.cards import JointControl
 from nw_policies.cards.joints import short_name
+from nw_policies.motions.motion import FRAMES
 from nw_policies.motions.reading import read_motion
 from nw_sim.tasks.reference import Reference, conjugate, product, turned
 
@@ -96,6 +97,12 @@ class _Fitting:
         angles, rates = self._joints()
         root = self._root(angles)
         step = 1.0 / self._world.control_rate
+        if (len(angles) - 1) / (rate * step) > FRAMES:
+            raise PolicyError(
+                f"{self._where}: {len(angles)} frames at {rate:g} a second are more than {FRAMES} "
+                "control steps",
+                fix="cut the motion into pieces, or correct its frames a second",
+            )
         if abs(rate * step - 1.0) > 1e-9:
             angles, root = _resampled(angles, root, rate, step)
             rates = None

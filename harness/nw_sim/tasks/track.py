@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
+from nw_base.errors import PolicyError
 from nw_base.memory import pack, unpack
 from nw_base.words import Outcome
 from nw_gate.scores import ScoreSpec
@@ -34,6 +35,7 @@ _OFF = np.array([0.05, 0.05, 0.01, 0.1, 0.1, 0.2])
 """m and rad of roll, pitch and yaw: the `pose_range` of whole_body_tracking."""
 _JOINTS_OFF = 0.1
 """rad, its `joint_position_range`."""
+_TRACKS = "give track a policy with a reference motion, or add `reference` to its card"
 
 
 class Lost(TaskPart):
@@ -52,9 +54,11 @@ class TrackSettings(TaskSettings):
     """`task: track`."""
 
     kind: Literal["track"] = "track"
-    start: Literal["drawn"] | float = Field(default="drawn", union_mode="left_to_right")
-    """s into the motion where a trial begins, or `drawn`: evenly over the motion, by the trial's
-    seed, so that `least` of it is left."""
+    start: Literal["drawn"] | Annotated[float, Field(ge=0.0)] = Field(
+        default="drawn", union_mode="left_to_right"
+    )
+    """s into the motion where a trial begins, before its end; or `drawn`: evenly over the motion,
+    by the trial's seed, so that `least` of it is left."""
     least: float = Field(default=1.0, gt=0.0, le=600.0)
     """s of the motion that a drawn start leaves."""
     jitter: float = Field(default=0.0, ge=0.0, le=2.0)
@@ -127,14 +131,20 @@ class TrackTask(Task):
         return TaskFault(
             ("kind",),
             "the policy tracks no motion: its card has no `reference`",
-            "give track a policy with a reference motion, or add `reference` to its card",
+            _TRACKS,
         )
 
     def reset(self, streams: Streams, scene: Place, robot: TaskRobot) -> Goal:
-        """Draw the first frame, and how far from it the robot is."""
+        """Draw the first frame, and how far from it the robot is.
+
+        Raises:
+            PolicyError: the policy has no motion, or one that ends before `start`.
+        """
         motion = self._rules.reference
         if motion is None:
-            raise ValueError("the task `track` takes a policy whose card has a `reference`")
+            raise PolicyError(
+                "the policy tracks no motion: its card has no `reference`", fix=_TRACKS
+            )
         self._limits = Limits.of(robot)
         period, chosen = self._rules.control_period, self._settings.start
         last = len(motion) - 1
@@ -142,7 +152,12 @@ class TrackTask(Task):
             most = max(last - max(1, round(self._settings.least / period)), 0)
             first = int(streams.generator("motion").integers(0, most + 1))
         else:
-            first = min(round(float(chosen) / period), last - 1)
+            if chosen / period > last - 1 + 1e-6:
+                raise PolicyError(
+                    f"task.start is {chosen:g} s, and the policy's motion has {last * period:g} s",
+                    fix=f"give at most {(last - 1) * period:g}, or `start: drawn`",
+                )
+            first = round(chosen / period)
         spawn = scene.spawn
         goal = draw_start(
             streams,
@@ -190,7 +205,18 @@ class TrackTask(Task):
         return self._placed
 
     def update(self, readings: Readings) -> tuple[TaskEvent, ...]:
-        """Compare the robot with the frame of the control step, and look whether it is lost."""
+        """Compare the robot with the frame of the control step, and look whether it is lost.
+
+        Raises:
+            PolicyError: the motion was over before; another policy's, which was longer, was not.
+        """
+        if self.step >= self.steps:
+            period = self._rules.control_period
+            raise PolicyError(
+                f"the policy's motion is over {self.steps * period:g} s after the trial's start, "
+                f"and the policy begins to act after {self.step * period:g} s",
+                fix="let it take over earlier, or give it a longer motion",
+            )
         self.step += 1
         motion = self._tracked.motion
         place, quat = readings.body_poses((motion.anchor,))

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from nw_base.errors import PolicyError, StoreError
 from nw_base.trials import Trial
@@ -20,6 +21,7 @@ from nw_sim.rollout.opening import open_trial
 from nw_sim.rollout.referenced import packed_motion, reference_of, unpacked_motion
 from nw_sim.rollout.replaying.logged import read_logged_trial
 from nw_sim.rollout.replaying.policy_switch import open_replayed
+from nw_sim.rollout.replaying.takeover import take_over
 from nw_sim.rollout.trial import run_trial
 from nw_sim.sensors import StepContext, build_sensors
 from nw_sim.tasks import TaskRules, TrackSettings, fault_of, open_task
@@ -185,6 +187,15 @@ def test_what_the_card_must_say_is_asked_for(policy, world, said, cut, words):
         motion_of(policy(csv(root, angles[:, :cut]), said=said), world)
 
 
+def test_a_motion_of_very_few_frames_a_second_takes_no_memory(policy, world):
+    arrays = dict(np.load(io.BytesIO(npz(world, *waving(3), list(range(12))))))
+    arrays["fps"] = np.array([1e-6])
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    with pytest.raises(PolicyError, match="3 frames at 1e-06 a second are more than 200000"):
+        motion_of(policy(buffer.getvalue(), name="motion.npz", said="anchor: trunk"), world)
+
+
 def test_joints_that_a_file_lacks_keep_the_default_pose(policy, world):
     root, angles = waving()
     bundle = policy(csv(root, angles[:, [3, 0]]), said="rate: 50, joints: [FL_hip, FR_hip]")
@@ -298,6 +309,40 @@ def test_starts_are_drawn_by_the_seed_and_leave_what_is_asked(policy):
     assert start(0, start=1.0) == 50
 
 
+@pytest.mark.parametrize("start", [1.98, 1000.0, 1e308])
+def test_a_start_that_leaves_no_step_of_the_motion_is_an_error(policy, start):
+    bundle = policy(csv(*waving()))  # 100 frames: it ends after 1.98 s.
+    result = tracked(bundle, start=start)
+    assert (result.status, result.success) == ("error", 0.0)
+    assert f"task.start is {start:g} s, and the policy's motion has 1.98 s" in result.error_text
+    assert "give at most 1.96, or `start: drawn`" in result.error_text
+    assert tracked(bundle, start=1.96).steps == 1
+
+
+@pytest.mark.parametrize("start", [-1.0, -1e-9, float("nan"), float("inf")])
+def test_a_start_is_a_time_from_0_on(start):
+    with pytest.raises(ValidationError, match=r"start\."):
+        TrackSettings(start=start)
+
+
+def test_a_shorter_motion_that_is_over_completes_nothing(policy, tmp_path):
+    log = tmp_path / "trial.mcap"
+    tracked(policy(csv(*still())), start=0.0, mcap=log)
+    policy(csv(*still(1)))
+    late = take_over(log, start=1.5, policy=str(tmp_path)).result
+    assert (late.status, late.success) == ("error", 0.0)
+    assert "motion is over 0.98 s after the trial's start" in late.error_text
+    early = take_over(log, start=0.5, policy=str(tmp_path)).result
+    assert (early.outcome, early.steps) == ("completed", 49)
+
+
+def test_a_policy_without_a_motion_takes_over_no_trial_of_one(policy, tmp_path):
+    log = tmp_path / "trial.mcap"
+    tracked(policy(csv(*still())), start=0.0, mcap=log)
+    with pytest.raises(PolicyError, match=r"'stand' tracks no motion, and the task of .* is track"):
+        take_over(log, start=0.5, policy="stand")
+
+
 def test_a_log_holds_its_motion(policy, tmp_path):
     bundle = policy(csv(*waving()))
     log = tmp_path / "trial.mcap"
@@ -344,6 +389,14 @@ def test_the_motion_is_part_of_the_policys_identity(policy):
 def test_a_motion_that_is_not_the_one_the_card_means_is_refused(policy):
     with pytest.raises(PolicyError, match="the motion's SHA-256 is"):
         policy(csv(*waving()), said=f"rate: 50, sha256: {'f' * 64}")
+
+
+def test_a_motion_that_is_missing_is_called_so(policy, tmp_path):
+    policy(csv(*waving()))
+    (tmp_path / "motion.csv").unlink()
+    with pytest.raises(PolicyError, match=r"motion\.csv: the motion is missing") as error:
+        load_bundle(tmp_path)
+    assert "--checkpoint" not in error.value.fix
 
 
 def test_a_card_names_bodies_and_joints_of_its_robot():

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nw_base.errors import StoreError
+from nw_base.errors import PolicyError, StoreError
 from nw_gate.scores.own import is_code
 from nw_scenes.robots import get_robot
 from nw_sim.rollout.job import StageClock, TrialResult
@@ -52,6 +52,7 @@ from nw_sim.rollout.replaying.reports import (
     Try,
 )
 from nw_sim.sensors.build import check_card
+from nw_sim.tasks import TrackSettings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -286,7 +287,7 @@ def second_job(
     """Return the trial of a log as one of the policy that is to take over; as for `take_over`.
 
     Raises:
-        StoreError, PolicyError: as `agreed`; or the policy does not fit the robot.
+        StoreError, PolicyError: as `agreed`; or the policy does not fit the robot or the task.
     """
     job = agreed(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
@@ -294,6 +295,13 @@ def second_job(
     bundle = library.bundle_of(job)
     code_from = bundle.folder if allow_code else None
     check_card(bundle.card, get_robot(job.robot), where=bundle.card_path, code_from=code_from)
+    if ("motion" in bundle.card.hears) != (job.task.kind == TrackSettings().kind):
+        motion = "a motion" if "motion" in bundle.card.hears else "no motion"
+        raise PolicyError(
+            f"the policy {bundle.name!r} tracks {motion}, and the task of {path} is "
+            f"{job.task.kind}",
+            fix="let a policy take over that can do the recorded task",
+        )
     digest = "" if bundle.card.adapter == "remote" else bundle.checkpoint_digest
     return replace(job, policy_name=bundle.name, checkpoint_digest=digest)
 
