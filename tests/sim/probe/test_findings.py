@@ -109,7 +109,7 @@ def test_the_same_action_is_blamed_on_whom_it_is_due_to(walked, uncommanded, con
 
 @pytest.mark.parametrize(
     ("travelled", "kind", "said"),
-    [(0.1, "fault", "it does not go on: name the term"), (1.5, "note", "was trained on")],
+    [(0.1, "fault", "it does not move ahead: name the term"), (1.5, "note", "was trained on")],
 )
 def test_who_is_told_nothing_and_does_not_go_on_lacks_a_term(
     walked, uncommanded, travelled, kind, said
