@@ -252,6 +252,10 @@ def surfaced(source: Path, up: str) -> tuple[PaintedMesh, list[str]]:
     mesh = _poisson(thinned, spacing, o3d)
     vertices = np.asarray(mesh.vertices).astype(np.float64) + middle
     faces = np.asarray(mesh.triangles).astype(np.int64)
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # Where the surface was made simpler, a triangle may be folded to a line.
+    faces = faces[np.linalg.norm(normal, axis=1) > 1e-9 * spacing**2]
     if not len(faces):
         raise SceneError(
             f"{source}: no surface can be drawn through its points",

@@ -107,6 +107,9 @@ def test_the_same_points_give_the_same_surface_and_colours_come_along(tmp_path):
     one, two = surfaced(source, "auto")[0], surfaced(source, "auto")[0]
     np.testing.assert_array_equal(one.vertices, two.vertices)
     np.testing.assert_array_equal(one.faces, two.faces)
+    corners = one.vertices[one.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert np.linalg.norm(normal, axis=1).min() > 0.0, "all faces have an area"
     middles = one.vertices[one.faces].mean(axis=1)
     red = one.colours.mean(axis=1)[:, 0]
     assert red[middles[:, 0] > 1.3].mean() > 0.7
