@@ -367,7 +367,9 @@ class PlannedPolicy:
 
         So it is the same whether the process has planned it before or not.
         """
-        return self._policy.state() if self._policy and self._has_acted else self._state
+        if self._policy is None or not self._has_acted:
+            return self._state
+        return self._policy.state()
 
     def restore(self, state: bytes) -> None:
         """Go back to a `state`.

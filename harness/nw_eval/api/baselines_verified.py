@@ -106,10 +106,11 @@ def verify_baseline(
     _check(saved, target)
     seed = unforeseen_seed() if seed is None else seed
     names = draw([trial.id for trial in target.plan.trials], sample, seed)
+    ladders = tuple(_kept_trials(target.plan, saved))  # What does not hold is said before any runs.
     rows, interrupted = _run(target.plan, names, how)
     done = [row for row in rows if row.status == "ok"]
     differing, drawn, ran = list(_differing(done, saved, target.machine)), len(names), len(done)
-    for plan, kept in () if interrupted else _kept_trials(target.plan, saved):
+    for plan, kept in () if interrupted else ladders:
         chosen = draw(list(kept), sample, seed)
         of_ladder, interrupted = _run(plan, chosen, how)
         again = [row for row in of_ladder if row.status == "ok"]

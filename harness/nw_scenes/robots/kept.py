@@ -1,7 +1,8 @@
 """Robots of folders, compiled once and kept in the user's cache.
 
 What is kept follows from the bytes of the folder's files, this package's code and MuJoCo, whose
-digest is its name. It is JSON, whose decimals are the same numbers again, to the bit.
+digest is its name, with the folder's path: what a confined process packed of a stranger's folder
+can stand for no other one. It is JSON, whose decimals are the same numbers again, to the bit.
 """
 
 from __future__ import annotations
@@ -49,12 +50,12 @@ def kept_spec(folder: RobotFolder) -> tuple[RobotSpec, tuple[str, ...]]:
     # A file that is not there, or damaged, is written anew.
     with suppress(StoreError, OSError, ValueError, zlib.error):
         unpacking = zlib.decompressobj()
-        text = unpacking.decompress(read_sealed(_path(folder.digest)), _LARGEST)
+        text = unpacking.decompress(read_sealed(_path(folder.path, folder.digest)), _LARGEST)
         if unpacking.eof:
             kept = TypeAdapter(_Kept).validate_json(text)
             return kept.spec, kept.notes
     spec, notes = spec_of(folder), notes_of(folder)
-    _write(folder.digest, packed(spec, notes))
+    _write(folder.path, folder.digest, packed(spec, notes))
     return spec, notes
 
 
@@ -82,16 +83,18 @@ def keep(folder: Path, files: Sequence[str], content: bytes) -> None:
     with suppress(ValueError, OSError):
         read = {name: bounded_bytes(inside(folder, name), MESH_BYTES) for name in files}
         seen = {name: hashlib.sha256(each).hexdigest() for name, each in read.items()}
-        _write(digest_of(seen), content)
+        _write(folder, digest_of(seen), content)
 
 
-def _write(digest: str, content: bytes) -> None:
-    with suppress(StoreError), sealed_path(_path(digest)) as temporary:
+def _write(folder: Path, digest: str, content: bytes) -> None:
+    with suppress(StoreError), sealed_path(_path(folder, digest)) as temporary:
         temporary.write_bytes(content)
 
 
-def _path(digest: str) -> Path:
-    key = hashlib.sha256(f"{_code()}{digest}".encode()).hexdigest()
+def _path(folder: Path, digest: str) -> Path:
+    key = hashlib.sha256(
+        f"{_code()}{digest}{folder.resolve()}".encode(errors="surrogateescape")
+    ).hexdigest()
     return cache_dir("robots") / f"{key[:32]}.json.z"
 
 

@@ -36,6 +36,7 @@ from nw_scenes.scene import Spawn
 from nw_scenes.surface import Surface
 from nw_sim.survey import footing_lines, survey_lines
 from nw_sim.survey.ground import holes_along
+from nw_twin.course import HALF_WIDTH
 from nw_twin.place import SUITE, Route, check_scene_name, moved_points
 from nw_twin.scans.looks import write_looks
 from nw_twin.scans.points import LAS_SUFFIXES, is_cloud, surfaced
@@ -75,9 +76,9 @@ _INCLINED = math.radians(8.0)
 """Of the ground at the start, from which on it is said; beyond 20 degrees no robot starts there."""
 _LONGEST, _BEHIND = 4.0, 0.7
 """Of a proposed course, and of the ground behind its end and before its start; metres."""
-_FEET, _TRIED, _HOLED = 0.195, 8, 20.0
-"""Half the width of a Go1 as it stands, metres; ways of one heading that are looked at for holes;
-and what a hole costs, in half metres of course."""
+_TRIED, _HOLED = 8, 20.0
+"""Ways of one heading that are looked at for holes, and what a hole costs, in half metres of
+course."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -631,7 +632,7 @@ def _proposed(mesh: TriangleMesh) -> tuple[Values, float] | None:
             rows = first + np.round(places / _STRIDE).astype(np.int64)
             points = np.column_stack([xy[i, rows, 1], z[i, rows, 1]])
             spawn = Spawn(position=(*points[0].tolist(),), yaw=yaw)
-            holes, _ = holes_along(mesh, spawn, points[1:], _FEET, _BEHIND)
+            holes, _ = holes_along(mesh, spawn, points[1:], HALF_WIDTH, _BEHIND)
             # A course without holes is better, however short.
             worth -= _HOLED if len(holes) else 0.0
             if best is None or worth > best[0]:

@@ -1,5 +1,8 @@
 """Robots of folders are compiled once: the cache has what follows from their files' bytes."""
 
+import shutil
+from dataclasses import replace
+
 import pytest
 import trimesh
 
@@ -61,6 +64,17 @@ def test_what_is_kept_serves_no_other_files_and_not_when_it_is_damaged(folder, o
     else:
         path.write_bytes(path.read_bytes()[:-90])
     assert (anew(folder) == first) is (of == "the cache")
+
+
+def test_what_is_packed_of_a_folder_serves_no_other_one_with_the_same_files(folder):
+    first = anew(folder)
+    stranger = folder.parent / "stranger"
+    shutil.copytree(folder, stranger)
+    files = read_folder(stranger).files
+    forged = replace(first.spec, kp=tuple(2.0 * each for each in first.spec.kp))
+    kept.keep(stranger, files, kept.packed(forged, ()))
+    assert anew(stranger).spec.kp == forged.kp, "its own folder has what was packed of it"
+    assert anew(folder) == first
 
 
 def test_a_draft_compiles_its_model_once_and_leaves_it_in_the_cache(folder, monkeypatch):
