@@ -1,7 +1,7 @@
 """Robots of folders, compiled once and kept in the user's cache.
 
 What is kept follows from the bytes of the folder's files, this package's code and MuJoCo, whose
-digest is its name, with the folder's path: what a confined process packed of a stranger's folder
+digest is its name, with the folder's path: what a confined process packed of a third party's folder
 can stand for no other one. It is JSON, whose decimals are the same numbers again, to the bit.
 """
 
