@@ -152,7 +152,7 @@ MOST = {
         ("nw_eval", "nw_learn", "nw_sim"),
     ),
     "nw_policies": Figures(
-        24500,  # Reference motions, held joints, makers' files: readers, keys and terms, drafts.
+        25060,  # HumanoidVerse's and FALCON's files; targets: keys and terms.
         9,
         ("nw_eval", "nw_learn", "nw_sim"),
     ),
@@ -162,7 +162,7 @@ MOST = {
         ("nw_eval", "nw_learn", "nw_places", "nw_policies", "nw_sim", "nw_twin"),
     ),
     "nw_sim": Figures(
-        27190,  # Reference motions: the task track, their terms, their ghosts.
+        27760,  # What tasks ask for beside a velocity: targets of joints, a height.
         0,
         ("nw_eval", "nw_learn", "nw_twin"),
     ),

@@ -167,13 +167,20 @@ def plan_of(
 
 def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> None:
     """Tell where a suite's task does not fit its policy or its episode, if both could be read."""
+    from nw_scenes.robots import get_robot
     from nw_sim.axes import COMMANDED
     from nw_sim.tasks import TaskRules, fault_of
     from nw_sim.tasks.commanded import is_commanded, with_command
+    from nw_sim.tasks.targets import own_targets
 
     if suite is None or bundle is None:
         return
-    rules, task = TaskRules(duration=suite.episode.duration), suite.task
+    task = suite.task
+    try:
+        own = own_targets(bundle.card, get_robot(suite.robot))
+    except NwEvalError:  # As already reported.
+        own = None
+    rules = TaskRules(duration=suite.episode.duration, own=own)
     axes = [axis for axis in suite.perturb.axes if axis in COMMANDED]
     if axes and not is_commanded(task):
         message = f"perturb.{axes[0]}: the task {task.kind} has no velocity command to change"

@@ -79,7 +79,8 @@ def _unheard(family: SceneLadder, hears: frozenset[str]) -> TaskFault | None:
     """Return why a policy cannot be told the commands of a ladder; None for one of other rungs."""
     from nw_sim.axes import COMMANDED
     from nw_sim.tasks import TaskRules, fault_of
-    from nw_sim.tasks.commanded import Asked, Command, VelocitySettings
+    from nw_sim.tasks.commanded import Asked, Command
+    from nw_sim.tasks.velocity import VelocitySettings
 
     if not family.is_commanded:
         return None

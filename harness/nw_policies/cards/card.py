@@ -7,6 +7,7 @@ holds its weights. It contains no code.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -38,7 +39,7 @@ from nw_policies.cards.observations import (
     ReferenceObservation,
 )
 from nw_policies.cards.reference import Reference
-from nw_policies.cards.terms import AppliedAction, LastOutput
+from nw_policies.cards.terms import AnyTerm, AppliedAction, LastOutput, Moving
 from nw_policies.cards.terms import Command as CommandTerm
 
 
@@ -96,8 +97,21 @@ SceneWords = Annotated[str, Field(min_length=1, max_length=1024)]
 LEFT_OUT = "!"
 """What `trained_on` has before scenes that others of its words name, but the training left out."""
 
-_HEARD = {"command": "command", "speed": "speed", "delta_yaw": "way"}
-"""Terms by which a policy is told what to do."""
+_HEARD = {"speed": "speed", "delta_yaw": "way"}
+"""Terms by which a policy is told what to do, beside `command`."""
+
+
+def _heard_by(terms: Sequence[AnyTerm]) -> set[str]:
+    """Return by what terms tell a policy what to do."""
+    heard = {_HEARD[term.term] for term in terms if term.term in _HEARD}
+    commands = [term for term in terms if isinstance(term, CommandTerm)]
+    if any(term.parts is None for term in commands):
+        return heard | {"command"}
+    parts = {part for term in commands for part in term.parts or ()}
+    if len(parts) == len(("vx", "vy", "yaw")):
+        return heard | {"command"}
+    return heard | {"speed" if part == "vx" else part for part in parts}
+
 
 SpeedName = Literal["lin_vel_x", "lin_vel_y", "ang_vel_z"]
 
@@ -263,10 +277,10 @@ class Card(CardModel):
             if not isinstance(observation, ProprioObservation):
                 continue
             terms = observation.frame_terms
-            if isinstance(self.command, WaypointCommand) and any(
-                isinstance(term, CommandTerm) for term in terms
-            ):
-                message = f"{name!r} has the term `command` but the card commands no velocity"
+            of_command = [t.term for t in terms if isinstance(t, CommandTerm | Moving)]
+            if isinstance(self.command, WaypointCommand) and of_command:
+                message = f"{name!r} has the term `{of_command[0]}` but the card commands no"
+                message += " velocity"
                 raise ValueError(f"{message}; add `command: {{source: trail_follower}}`")
             if self.control.clip is None and any(
                 isinstance(term, LastOutput | AppliedAction) and term.clipped for term in terms
@@ -299,13 +313,14 @@ class Card(CardModel):
     def hears(self) -> frozenset[str]:
         """What tells the policy what to do: `command`, `speed`, the `way` to a waypoint, `motion`.
 
+        Where it observes parts of a velocity command only, these are `speed`, `vy` and `yaw`.
         What a sensor of a package reads is its own affair: it may be any of them. A `zero` policy
         answers the same whatever it is told, so all can be told to it; a motion must be named.
         """
         heard: set[str] = {"command"} if self.adapter == "zero" else set()
         for seen in self.observations.values():
             if isinstance(seen, ProprioObservation):
-                heard |= {_HEARD[term.term] for term in seen.frame_terms if term.term in _HEARD}
+                heard |= _heard_by(seen.frame_terms)
             elif isinstance(seen, DirectionObservation):
                 heard.add("way")
             elif isinstance(seen, PluginObservation):

@@ -105,6 +105,9 @@ class Control(CardModel):
     """Joints that the policy does not drive, by name, type or pattern: they are held at these
     angles, rad, or as a list at the default pose. Actions and terms of joints have no numbers for
     them, nor need `joints` and lists; a term with `leave_out: []` has all joints."""
+    commanded: Annotated[list[str], Field(min_length=1, max_length=200)] | None = None
+    """Joints, types or patterns whose angle at action 0 a suite's task may ask for, as its
+    `targets`; None = those of `held`."""
     default_pose: PerJoint | None = None
     """rad; None = the robot's."""
     kp: PerJoint | None = None
@@ -149,11 +152,10 @@ class Control(CardModel):
 
     @model_serializer(mode="wrap")
     def _without_held(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out `held` that is not given, so that cards without it keep their digest."""
+        """Leave out what is not given, so that cards without it keep their digest."""
         fields: dict[str, Any] = dump(self)
-        if self.held is None:
-            fields.pop("held", None)
-        return fields
+        new = {"held", "commanded"}
+        return {key: value for key, value in fields.items() if value is not None or key not in new}
 
     @property
     def has_torques(self) -> bool:

@@ -120,6 +120,33 @@ class Command(ScaledTerm):
     """Velocity command vx, vy (m/s, yaw frame) and yaw rate (rad/s) of the card's `command` (3)."""
 
     term: Literal["command"]
+    parts: Annotated[list[Literal["vx", "vy", "yaw"]], Field(min_length=1, max_length=3)] | None = (
+        None
+    )
+    """Which of the three, in their order; None = all."""
+
+    @model_serializer(mode="wrap")
+    def _without_parts(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out `parts` that are not given: cards keep the digest that they had."""
+        fields: dict[str, Any] = write(self)
+        return {key: value for key, value in fields.items() if value is not None or key != "parts"}
+
+
+class Moving(ScaledTerm):
+    """1 while the velocity command asks for motion, 0 while it asks to stand (1)."""
+
+    term: Literal["moving"]
+    below: float = Field(default=0.1, gt=0.0)
+    """Norm of vx, vy (m/s) and yaw rate (rad/s) of the command, below which it is to stand."""
+
+
+class Target(ScaledTerm):
+    """What the task asks for beside a velocity, such as a height: one number for each name."""
+
+    term: Literal["target"]
+    of: Annotated[dict[Foot, float], Field(min_length=1, max_length=200)]
+    """Names, in their order, each with its value where the task does not ask for it: a joint's
+    angle, rad, or what a suite's `targets` call the same, such as `height`, m."""
 
 
 class Speed(ScaledTerm):
@@ -277,6 +304,8 @@ AnyTerm = (
     | Acceleration
     | DeltaYaw
     | Command
+    | Moving
+    | Target
     | Speed
     | JointPosition
     | JointVelocity
@@ -331,20 +360,26 @@ def named_places(keys: Sequence[str], joints: Sequence[str], where: str) -> set[
     return places
 
 
-def term_size(term: AnyTerm, joints: Sequence[str]) -> int:  # noqa: C901 - one line a term.
+def term_size(  # noqa: C901, PLR0912 - one line a term.
+    term: AnyTerm, joints: Sequence[str]
+) -> int:
     """Return how many numbers a term has on a robot with those joints.
 
     Raises:
         PolicyError: it names joints that the robot does not have.
     """
     match term:
-        case AngularVelocity() | LinearVelocity() | Gravity() | Imu() | Acceleration() | Command():
+        case AngularVelocity() | LinearVelocity() | Gravity() | Imu() | Acceleration():
             return 3
+        case Command():
+            return 3 if term.parts is None else len(term.parts)
+        case Target():
+            return len(term.of)
         case Orientation():
             return 4
         case RollPitch():
             return 2
-        case Speed():
+        case Speed() | Moving():
             return 1
         case FootContacts():
             return len(term.feet)

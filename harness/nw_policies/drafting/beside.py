@@ -55,8 +55,8 @@ _PER_JOINT = (
 )
 _ORDER = (
     "deploy", "io_descriptors", "legged_rl_deploy", "legged_ros2", "rl_sar", "gym", "muwanx",
-    "booster", "limx", "checkpoint",
-    "env", "agent",
+    "booster", "limx", "humanoidverse_deploy", "checkpoint",
+    "env", "humanoidverse_train", "agent",
 )  # fmt: skip
 """Which kind of file is believed before others."""
 

@@ -103,6 +103,10 @@ class ExportedTerm:
     """Further keys of the term on a card, such as a clock's frequency."""
     grid: HeightGrid | None = None
     """Of a scan of heights."""
+    own: str = ""
+    """Its term on a card, where the reader of the file knows it with `width` and `keys`."""
+    keeps_one: bool = False
+    """Whether a history of one frame is a history: the frame is not the present one."""
 
     @property
     def word(self) -> str:
@@ -149,6 +153,10 @@ class ExporterMetadata:
     """The bodies that are compared with those of the motion."""
     motion_file: str = ""
     """Of the training."""
+    motion_joints: tuple[str, ...] = ()
+    """Joints of that file, where they are not all of the robot's."""
+    commanded: tuple[str, ...] = ()
+    """Joints that the policy drives from an angle which a command moves."""
     activation: str = ""
     """Between the layers of the network."""
     model: str = ""

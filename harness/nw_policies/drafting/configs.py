@@ -8,6 +8,7 @@
     *.yaml                      controllers of legged_ros2
     NAME.json, asset_meta.json  muwanx, which runs policies in browsers
     T1.yaml, params.yaml        booster_gym; LimX's controllers (`makers`)
+    config.yaml                 HumanoidVerse, ASAP, PBHC, FALCON (`humanoidverse`)
 
 A file is known by its keys, not by its name. Nothing of a tag is executed: `!!python/tuple` is a
 list. Lists for each joint are in the order of `joint_names`, whatever their order in the file.
@@ -30,6 +31,11 @@ from nw_policies.drafting.fields import (
     numbers_of,
     per_second,
     texts_of,
+)
+from nw_policies.drafting.humanoidverse import (
+    is_humanoidverse,
+    read_deployment,
+    read_training,
 )
 from nw_policies.drafting.layouts import LEG_BY_LEG, RIGHT_FIRST, TYPE_BY_TYPE
 from nw_policies.drafting.makers import is_booster, is_limx, read_booster, read_limx
@@ -60,13 +66,19 @@ def reader_of(data: Data) -> tuple[str, Reader | None]:
         {"obs_names", "obs_cfg", "action_cfg"} <= set(words) for words in _ros_nodes(data).values()
     ):
         return "legged_ros2", _legged_ros2
+    if isinstance(data.get("obs_config"), dict) and {"stiffness", "action_scale"} <= set(data):
+        return "muwanx", _muwanx
+    return _reader_of_makers(data) or _reader_of_training(data)
+
+
+def _reader_of_makers(data: Data) -> tuple[str, Reader] | None:
     if is_booster(data):
         return "booster", read_booster
     if is_limx(data):
         return "limx", read_limx
-    if isinstance(data.get("obs_config"), dict) and {"stiffness", "action_scale"} <= set(data):
-        return "muwanx", _muwanx
-    return _reader_of_training(data)
+    kind = is_humanoidverse(data)
+    readers = {"train": read_training, "deploy": read_deployment}
+    return (f"humanoidverse_{kind}", readers[kind]) if kind else None
 
 
 def _reader_of_training(data: Data) -> tuple[str, Reader | None]:

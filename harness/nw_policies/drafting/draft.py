@@ -47,7 +47,14 @@ from nw_policies.drafting.notation import (
     quoted,
     slug,
 )
-from nw_policies.drafting.some_joints import driven_joints, held_lines, known_of, of_joints
+from nw_policies.drafting.some_joints import (
+    commanded_lines,
+    driven_joints,
+    held_lines,
+    known_of,
+    known_of_all,
+    of_joints,
+)
 from nw_policies.drafting.tracking import TABLES, reference_lines, tracks
 from nw_policies.drafting.trained import (
     KNOWN_ACTIVATIONS,
@@ -132,7 +139,8 @@ def write_card_draft(
         _refuse_unknown(layout, parts, facts.path)
         if draft.is_commanded:
             body = [_follower(known, robot), "", *body]
-    frames = [part.fits[0][0] for part in parts if part.fits]
+    frames = [each.fits[0][0] for each in parts if each.fits]
+    of_all = known_of_all(said, facts.exporter, whole) if part else None
     # What one of them feeds back clipped, `control` must clip.
     frame = next((f for f in frames if f.clip is not None), frames[0] if frames else None)
     lines = [
@@ -148,8 +156,14 @@ def write_card_draft(
         *([] if network is None else network_lines(network, *_activation(facts))),
         *(f"{CHECK} {note}" for note in notes),
         "",
-        *control_lines(facts.exporter, robot, frame, clip=network.clip if network else None),
+        *control_lines(
+            of_all or facts.exporter,
+            whole if of_all else robot,
+            frame,
+            clip=network.clip if network else None,
+        ),
         *held_lines(part, whole, said),
+        *commanded_lines(said),
         "",
         *body,
         *_reference(facts, robot, motions, folder),

@@ -117,6 +117,29 @@ _PASSED_OVER: Mapping[str, Mapping[str, str]] = {
         "it is seen": r"\w+\.(size\.\w+|normalization\.obs_scales\.lin_vel)",
         "the robot's IMU is ours": r"\w+\.imu_orientation_offset",
     },
+    "humanoidverse_train": {
+        "it steers the training": r"""
+            (?!(robot|obs|simulator|domain_rand)(\..*)?$).*|domain_rand\.(?!.*ctrl_delay).*|
+            obs\.(noise_scales|noise_\w+|add_noise\w*|soft_\w+|obs_dims|post_compute_config|
+            motion_len|obs_dict\.(?!actor_obs).*|obs_auxiliary\.(?!history_actor).*)
+        """,
+        "a term that the policy does not see": r"obs\.obs_scales\.\w+",
+        "the evaluation has its own physics": r"simulator\.(?!config\.sim\.(fps|control_dec)).*",
+        "the robot is ours": r"""
+            robot\.(?!(control|init_state|motion)(\..*)?$).*|robot\.init_state\.(pos|rot|\w+_vel)|
+            robot\.control\.(isaac_pd_scale|clamp_actions|clip_torques)|
+            robot\.motion\.(?!motion_file).*
+        """,
+    },
+    "humanoidverse_deploy": {
+        "it is of the script, of the simulator or of the wire": r"""
+            [A-Z_]*(ROBOT|ASSET|SDK|MOTOR|SIM|DOMAIN|INTERFACE|FREE|PRINT|ELASTIC|VIEWER|SENSOR|
+            JOYSTICK|VISUALIZE|UNITREE|NUM|Weak)\w*|ENABLE_\w+|USE_\w+|use_upper_body_controller|
+            (left|right)_hand_link_name|JOINT2MOTOR|NET|obs_dims
+        """,
+        "the robot has its own": r"motor_(pos|vel)\w*limit\w*",
+        "a term that the policy does not see": r"obs_scales\.\w+",
+    },
     "legged_ros2": {
         "it is of the controller": r"(?!.*ros__parameters\.(obs|action)_cfg).*",
     },

@@ -13,7 +13,7 @@ from dataclasses import fields, replace
 from nw_policies.cards.joints import short_name
 from nw_policies.drafting.checkpoint import CheckpointFacts, ExporterMetadata
 from nw_policies.drafting.configs import reordered
-from nw_policies.drafting.notation import CHECK, number, plain
+from nw_policies.drafting.notation import CHECK, plain
 from nw_scenes.robots import RobotSpec
 
 _FEWEST = 6
@@ -66,6 +66,21 @@ def known_of(known: ExporterMetadata | None, driven: Sequence[str]) -> ExporterM
     return replace(known, joint_names=wanted, guessed_order=True, **part)
 
 
+def known_of_all(
+    said: ExporterMetadata | None, driven: ExporterMetadata | None, robot: RobotSpec
+) -> ExporterMetadata | None:
+    """Return what files say of all joints, held ones too; None where they do not list them.
+
+    Args:
+        said: of all joints.
+        driven: from `known_of`.
+        robot: that has more joints.
+    """
+    if said is None or driven is None or len(said.joint_names) != len(robot.joints):
+        return None
+    return replace(said, action_scale=driven.action_scale, sources=driven.sources)
+
+
 def of_joints(robot: RobotSpec, joints: Sequence[str]) -> RobotSpec:
     """Return what a robot says of some of its joints, in their order."""
     order = [robot.joints.index(joint) for joint in joints]
@@ -86,15 +101,20 @@ def held_lines(
     """
     if not driven:
         return []
-    names, pose = (known.joint_names, known.default_joint_pos) if known else ((), ())
-    names = tuple(map(short_name, names))
+    names = tuple(map(short_name, known.joint_names if known else ()))
     held = [short_name(joint) for joint in robot.joints if joint not in driven]
     is_named = 0 < len(names) == len(driven)
     guess = "" if is_named else "the driven joints are guessed from their number; "
-    where, listed = f"at the {robot.name}'s own pose", f"[{', '.join(map(plain, held))}]"
-    if known and len(names) == len(pose) == len(robot.joints):
-        angles = dict(zip(names, pose, strict=True))
-        pairs = (f"{plain(name)}: {number(angles[name])}" for name in held)
-        where, listed = "with the robot's own gains", f"{{{', '.join(pairs)}}}"
+    where = f"at the {robot.name}'s own pose"
+    if known and len(names) == len(known.default_joint_pos) == len(robot.joints):
+        where = "at the pose above"
+    listed = f"[{', '.join(map(plain, held))}]"
     note = "`joint_pos` and `joint_vel` leave them out but with `leave_out: []`"
     return [f"  held: {listed}  {CHECK} {guess}{where}; {note}"]
+
+
+def commanded_lines(known: ExporterMetadata | None) -> list[str]:
+    """Return the line of a card that says which driven joints a command moves; none if none."""
+    if known is None or not known.commanded:
+        return []
+    return [f"  commanded: [{', '.join(map(plain, known.commanded))}]"]

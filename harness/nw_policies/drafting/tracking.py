@@ -93,6 +93,8 @@ def reference_lines(
     else:
         name = plain(named) or "motion.npz"
         lines.append(f"  file: {quoted(name)}  {CHECK} copy the motion beside this card")
+    if known.motion_joints and not held:
+        lines.append(f"  joints: [{', '.join(map(plain, known.motion_joints))}]")
     if not held and not motion.endswith((".npz", ".pkl")):
         rate = re.search(r"(\d+)_?(hz|fps)", motion, re.IGNORECASE)
         if rate:

@@ -90,6 +90,8 @@ def named_parts(
 
 def term_of(term: ExportedTerm) -> tuple[str, int | None] | None:
     """Return our word for a term, and its size: by its function, else by its name."""
+    if term.own:
+        return term.own, term.width
     known = motion_term_of(term) or TERM_OF.get(term.function) or TERM_OF.get(term.name)
     if known is None and term.name.endswith(_COMMAND):
         known = TERM_OF[_COMMAND]  # unitree_rl_lab has `keyboard_velocity_commands`.
@@ -174,9 +176,9 @@ def zeros_note(size: int, what: str = "what the checkpoint really sees") -> str:
     )
 
 
-def _kind(term: ExportedTerm) -> tuple[str, int]:
+def _kind(term: ExportedTerm) -> tuple[str, int, bool]:
     kind = "motion" if motion_term_of(term) else term.name if _is_scan(term) else ""
-    return kind, term.history or 1
+    return kind, term.history or 1, term.keeps_one
 
 
 def _sizes(terms: Sequence[ExportedTerm], size: int) -> list[int]:
@@ -216,7 +218,7 @@ def _terms(group: Sequence[tuple[ExportedTerm, int]], left_out: Sequence[str]) -
             lines[-1] += f"  {CHECK} its {unread} cannot be read"
     if is_motion:
         lines.append(AHEAD)
-    if (steps := group[0][0].history or 1) > 1:
+    if (steps := group[0][0].history or 1) > 1 or group[0][0].keeps_one:
         lines.append(f"history: {{steps: {steps}, {group[0][0].form}}}")
         if any(term.flat_history is False for term, _ in group):
             lines[-1] += f"  {CHECK} the exporter says that its frames are not in one row"

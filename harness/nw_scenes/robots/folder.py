@@ -479,6 +479,9 @@ class _Reader:
     def _tree(self, content: bytes, tags: Collection[str]) -> Element:
         if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
             raise self.fault("it declares a document type or entities", "remove them")
+        # MuJoCo's parser ends a comment at the first `-->`, whatever dashes stand in it; XML's does
+        # not allow them.
+        content = re.sub(rb"<!--.*?-->", _lines_of, content, flags=re.DOTALL)
         depth = 0
         root: Element | None = None
         try:
@@ -786,3 +789,8 @@ def triangles(content: bytes, suffix: str) -> tuple[Array, npt.NDArray[np.int64]
         message = "it has no faces, or numbers that are not lengths in metres"
         raise ValueError(message)
     return vertices, faces
+
+
+def _lines_of(comment: re.Match[bytes]) -> bytes:
+    """Return the line ends of a comment, so that what follows keeps its line."""
+    return b"\n" * comment[0].count(b"\n")

@@ -215,6 +215,8 @@ class Episode:
             if self.step % self._hold == 0:
                 self._actions.take(self._no_action() if moment is None else self._ask(observation))
             targets = self._actions.targets()
+            if (offsets := self.task.joint_offsets) is not None:
+                targets = targets + offsets
         return Decision(
             observation=observation,
             action=self._actions.output.array,

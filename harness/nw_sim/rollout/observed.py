@@ -467,7 +467,12 @@ def _parts(term: AnyTerm, joints: Names) -> Sequence[str]:
             return ("",) if term.values == "angle" else ("sine", "cosine")
         case terms.Orientation():
             return tuple(term.order)
-        case terms.Speed() | terms.DeltaYaw() | terms.Constant():
+        case terms.Target():
+            return tuple(map(short_name, term.of))
+        case terms.Command() if term.parts is not None:
+            whole = dict(zip(("vx", "vy", "yaw"), _PARTS[term.term], strict=True))
+            return [whole[part] for part in term.parts]
+        case terms.Speed() | terms.Moving() | terms.DeltaYaw() | terms.Constant():
             size = term_size(term, joints)
             return ("",) if size == 1 else [str(number) for number in range(size)]
         case _:

@@ -30,6 +30,7 @@ from nw_sim.rollout.scored import ScoreMeter
 from nw_sim.sensors import build_sensors
 from nw_sim.tasks import TaskRules, open_task
 from nw_sim.tasks.commanded import with_command
+from nw_sim.tasks.targets import own_targets
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -97,6 +98,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             control_period=world.control_period,
             contact_termination=job.contact_termination,
             reference=library.motion(bundle, world, card),
+            own=own_targets(card, robot),
         )
         with extension_at_fault():
             task = open_task(with_command(job.task, setup.command), rules)

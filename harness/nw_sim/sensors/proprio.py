@@ -23,6 +23,7 @@ from nw_base.memory import Arrays, read_only
 from nw_policies.cards import terms
 from nw_policies.cards.card import Command, ConstantCommand
 from nw_policies.cards.joint_control import JointControl
+from nw_policies.cards.joints import short_name
 from nw_policies.cards.observations import (
     DirectionObservation,
     History,
@@ -92,7 +93,11 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
         case terms.DeltaYaw():
             return lambda moment: moment.delta_yaw
         case terms.Command():
-            return lambda moment: velocity_command(command, moment)
+            return _command(term, command)
+        case terms.Moving():
+            return lambda moment: _norm(velocity_command(command, moment)) >= term.below
+        case terms.Target():
+            return _target(term)
         case terms.JointPosition() | terms.JointVelocity():
             return _joints(term, control)
         case terms.AppliedAction():
@@ -129,6 +134,32 @@ def _joints(term: terms.JointPosition | terms.JointVelocity, control: JointContr
         values = moment.world.joint_positions[order] - zero
         values[still] = 0.0
         return values
+
+    return read
+
+
+def _command(term: terms.Command, command: Command) -> Reader:
+    if term.parts is None:
+        return lambda moment: velocity_command(command, moment)
+    places = [("vx", "vy", "yaw").index(part) for part in term.parts]
+
+    def read(moment: StepContext) -> ArrayLike:
+        velocity = velocity_command(command, moment)
+        return [velocity[place] for place in places]
+
+    return read
+
+
+def _norm(velocity: Sequence[float]) -> float:
+    return math.hypot(*velocity)
+
+
+def _target(term: terms.Target) -> Reader:
+    own = [(short_name(name), value) for name, value in term.of.items()]
+
+    def read(moment: StepContext) -> ArrayLike:
+        asked = moment.task.targets
+        return [asked.get(name, value) for name, value in own]
 
     return read
 
@@ -254,7 +285,7 @@ def gait_clock(term: GaitClock, command: Command) -> Callable[[StepContext], lis
     standing = term.standing
 
     def read(moment: StepContext) -> list[float]:
-        if standing is not None and math.hypot(*velocity_command(command, moment)) < standing.below:
+        if standing is not None and _norm(velocity_command(command, moment)) < standing.below:
             if standing.phase is None:
                 return [0.0] * (len(functions) * len(term.offsets))
             phases = [standing.phase] * len(term.offsets)

@@ -23,7 +23,6 @@ from nw_base.errors import NwEvalError, PluginError, UsageError, nearest
 from nw_base.files.yaml_file import explain_limit
 from nw_base.plugins import TASKS, installed, is_elsewhere, load_class, subject
 from nw_gate.scores import ScoreSpec
-from nw_sim.tasks.commanded import StandSettings, StandTask, VelocitySettings, VelocityTask
 from nw_sim.tasks.course import COURSE, Course, CourseSettings, Limits
 from nw_sim.tasks.push import PushSettings, PushTask
 from nw_sim.tasks.task import (
@@ -39,6 +38,7 @@ from nw_sim.tasks.task import (
     TaskSettings,
 )
 from nw_sim.tasks.track import TrackSettings, TrackTask
+from nw_sim.tasks.velocity import StandSettings, StandTask, VelocitySettings, VelocityTask
 
 __all__ = [
     "COURSE",

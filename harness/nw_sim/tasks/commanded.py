@@ -1,4 +1,4 @@
-"""Tasks without waypoints: what they share, `velocity` and `stand`.
+"""Tasks without waypoints: what they share. `velocity` has two of them, `push` the third.
 
 A command is known before its trial begins: it follows from the suite and from the trial's own seed,
 so a trial that is continued from its middle is told the same.
@@ -9,12 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
     Strict,
@@ -25,21 +23,21 @@ from pydantic import (
 from nw_base.errors import UsageError
 from nw_base.memory import pack, unpack
 from nw_base.words import Outcome
-from nw_gate.scores import ScoreSpec
-from nw_gate.scores.score import lower_better
 from nw_sim.tasks.course import Limits, draw_start, fallen_by, touched_by
+from nw_sim.tasks.targets import DrawnTargets, Targets, targets_fault
 from nw_sim.tasks.task import (
     Array,
     Goal,
     Place,
     Readings,
     Streams,
-    Task,
     TaskEvent,
     TaskFault,
+    TaskPart,
     TaskRobot,
     TaskRules,
     TaskSettings,
+    TimedTask,
     Velocity,
 )
 
@@ -59,12 +57,6 @@ Speed = Annotated[float, Field(ge=-_FASTEST, le=_FASTEST)]
 TurnRate = Annotated[float, Field(ge=-_TURNING, le=_TURNING)]
 SpeedRange = Annotated[tuple[Speed, Speed], Strict(False)]
 TurnRange = Annotated[tuple[TurnRate, TurnRate], Strict(False)]
-
-
-class TaskPart(BaseModel):
-    """A mapping within the settings of a task."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class Asked(TaskPart):
@@ -216,7 +208,8 @@ def with_command(settings: TaskSettings, parts: Mapping[str, float]) -> TaskSett
         UsageError: the task has no command.
 
     Example:
-        >>> from nw_sim.tasks.commanded import Command, VelocitySettings, with_command
+        >>> from nw_sim.tasks.commanded import Command, with_command
+        >>> from nw_sim.tasks.velocity import VelocitySettings
         >>> settings = VelocitySettings(command=Command(constant={"vx": 0.5}))
         >>> with_command(settings, {"yaw": 0.2}).command.constant.velocity
         (0.5, 0.0, 0.2)
@@ -239,13 +232,15 @@ class CommandedSettings(TaskSettings):
     area: float | None = Field(default=None, gt=0.0, le=1000.0)
     """m in the ground plane from the start, beyond which a trial ends as `off_course`; None = no
     limit but the ground itself."""
+    targets: Targets | None = None
+    """What is asked for beside the velocity."""
 
     @model_serializer(mode="wrap")
     def _without_none(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         return {name: value for name, value in write(self).items() if value is not None}
 
 
-class Commanded(Task):
+class Commanded(TimedTask):
     """A trial whose task is a commanded velocity, and no way.
 
     It ends as `fell` or `collided` by the robot's limits, as `off_course` where the robot leaves
@@ -257,21 +252,18 @@ class Commanded(Task):
 
     Attributes:
         asked: the command.
-        step: control steps done.
-        steps: of the whole trial.
     """
 
     def __init__(self, settings: CommandedSettings, rules: TaskRules | None = None) -> None:
-        self._rules = TaskRules() if rules is None else rules
+        super().__init__(rules)
         self._area = math.inf if settings.area is None else settings.area
         self._limits = Limits()
         self.asked = self.asked_by(settings)
         self.steps = max(1, round(self._rules.duration / self._rules.control_period))
-        self.step = 0
-        self._contact_steps = 0
-        self._ended: Outcome | None = None
-        self._reason = ""
         self._profile: Array = np.zeros((self.steps, 3))
+        self._wanted = settings.targets
+        self._drawn: DrawnTargets | None = None
+        self._values: tuple[int, Array] = (-1, np.zeros(0))  # A step, and what is asked for then
 
     @classmethod
     def asked_by(cls, settings: CommandedSettings) -> Command:
@@ -292,8 +284,12 @@ class Commanded(Task):
                     f"a step at {step.at:g} s is not within the trial of {rules.duration:g} s",
                     "lower it, or raise episode.duration",
                 )
+        if settings.targets is not None and rules.own is not None:
+            fault = targets_fault(settings.targets, rules.own)
+            if fault is not None:
+                return fault
         parts = asked.parts
-        unheard = parts - {"vx"} if "speed" in hears else parts
+        unheard = (parts - {"vx"} if "speed" in hears else parts) - hears
         if unheard and "command" not in hears:
             text = "".join(_OTHER_WAYS[way] for way in ("speed", "way") if way in hears)
             return TaskFault(
@@ -326,7 +322,15 @@ class Commanded(Task):
         )
         period = self._rules.control_period
         self._profile = self.asked.profile(streams, steps=self.steps, period=period)
-        self.step, self._contact_steps, self._ended, self._reason = 0, 0, None, ""
+        if self._wanted is not None:
+            self._drawn = DrawnTargets(
+                self._wanted,
+                self._rules.own or {},
+                streams,
+                seconds=self._rules.duration,
+                joints=len(robot.joints),
+            )
+        self._begin_anew()
         return self.goal
 
     def update(self, readings: Readings) -> tuple[TaskEvent, ...]:
@@ -347,24 +351,24 @@ class Commanded(Task):
         """The velocity that is commanded now."""
         return self.commanded(self.step)
 
-    def end(self) -> Outcome | None:
-        """Return how the trial ends, or None."""
-        return self._ended
+    @property
+    def targets(self) -> Mapping[str, float]:
+        """What is asked for now beside the velocity, by name."""
+        if self._drawn is None:
+            return {}
+        return dict(zip(self._drawn.names, self._asked_at(self.step).tolist(), strict=True))
 
     @property
-    def end_reason(self) -> str:
-        """Say what decided the outcome."""
-        return self._reason
+    def joint_offsets(self) -> Array | None:
+        """How far angles of joints at action 0 are from the card's now, (J,) rad."""
+        return None if self._drawn is None else self._drawn.offsets(self._asked_at(self.step))
 
-    @property
-    def success(self) -> float:
-        """1 of a completed trial, else 0."""
-        return float(self._ended == "completed")
-
-    @property
-    def contact_seconds(self) -> float:
-        """Simulated time so far during which a monitored part collided, s."""
-        return self._contact_steps * self._rules.control_period
+    def _asked_at(self, step: int) -> Array:
+        """Return what is asked for in a control step, in the order of the drawn names."""
+        assert self._drawn is not None
+        if self._values[0] != step:
+            self._values = step, self._drawn.at(step * self._rules.control_period)
+        return self._values[1]
 
     @property
     def standing(self) -> str:
@@ -441,155 +445,3 @@ def off_command(readings: Readings, asked: Velocity) -> Velocity:
 
 WINDOW = 0.5
 """s over which a velocity error is averaged: about a stride, within which a trunk sways."""
-
-
-class Tolerance(TaskPart):
-    """How far the velocity may be from the command, both averaged over `WINDOW`."""
-
-    linear: float = Field(default=0.2, gt=0.0, le=5.0)
-    """m/s in the ground plane."""
-    angular: float = Field(default=0.3, gt=0.0, le=10.0)
-    """rad/s of yaw rate."""
-
-
-class VelocitySettings(CommandedSettings):
-    """`task: {kind: velocity, command: ...}`."""
-
-    kind: Literal["velocity"] = "velocity"
-    command: Command
-    within: Tolerance = Tolerance()
-    share: float = Field(default=0.7, gt=0.0, le=1.0)
-    """Of the time, that must be within the tolerance for a trial to be completed."""
-
-
-class VelocityTask(Commanded):
-    """Follow a velocity command until the time is over.
-
-    A control step counts from `WINDOW` on. It is within the tolerance if the mean of command minus
-    velocity over the last `WINDOW` is. The trial is completed if it ran to its end, and the share
-    of such steps is at least `share`; `tracked_time` is that share.
-    """
-
-    kind = "velocity"
-    settings = VelocitySettings
-    declared = (
-        ScoreSpec(
-            name="tracked_time",
-            unit="",
-            better="higher",
-            low=0.0,
-            high=1.0,
-            undefined=0.0,
-            meaning="share of the trial's time in which the velocity was within the tolerance of "
-            "the command",
-        ),
-    )
-
-    def __init__(self, settings: VelocitySettings, rules: TaskRules | None = None) -> None:
-        super().__init__(settings, rules)
-        self._within, self._share = settings.within, settings.share
-        self._window = min(max(1, round(WINDOW / self._rules.control_period)), self.steps)
-        self._errors = np.zeros((self._window, 3))
-        self._tracked = 0
-
-    def _see(self, readings: Readings, asked: Velocity) -> tuple[TaskEvent, ...]:
-        self._errors[(self.step - 1) % self._window] = off_command(readings, asked)
-        if self.step >= self._window:
-            x, y, turn = (self._errors.sum(axis=0) / self._window).tolist()
-            within = self._within
-            is_within = math.hypot(x, y) <= within.linear and abs(turn) <= within.angular
-            self._tracked += is_within
-        return ()
-
-    @property
-    def tracked(self) -> float:
-        """Share of the whole trial's steps that were within the tolerance so far."""
-        return self._tracked / (self.steps - self._window + 1)
-
-    def _judge(self) -> tuple[Outcome, str]:
-        return ("completed", "time") if self.tracked >= self._share else ("timeout", "tracking")
-
-    def scores(self) -> dict[str, float]:
-        """Return `tracked_time`: what a trial that ended early did not run is not tracked."""
-        return {"tracked_time": self.tracked}
-
-    def _memory(self) -> dict[str, Array]:
-        return {"errors": self._errors, "tracked": np.array([float(self._tracked)])}
-
-    def _remember(self, arrays: Mapping[str, Any]) -> None:
-        self._errors[:] = arrays["errors"]
-        self._tracked = int(arrays["tracked"][0])
-
-
-class StandSettings(CommandedSettings):
-    """`task: stand`."""
-
-    kind: Literal["stand"] = "stand"
-    drift: float = Field(default=0.2, gt=0.0, le=100.0)
-    """m by which the trunk may leave its place."""
-    turn: float = Field(default=0.2, gt=0.0, le=3.0)
-    """rad by which it may leave its heading."""
-    settle: float = Field(default=1.0, ge=0.0, le=60.0)
-    """s after the start, after which place and heading are those that count."""
-
-
-class StandTask(Commanded):
-    """Stand still until the time is over: the command is zero.
-
-    The trial is completed if the trunk's origin never was farther than `drift` in the ground plane
-    from where it was at `settle`, and its heading never farther than `turn`.
-    """
-
-    kind = "stand"
-    settings = StandSettings
-    declared = (
-        lower_better(
-            "position_drift",
-            "m",
-            2.0,
-            "largest distance of the trunk in the ground plane from where it stood",
-        ),
-        lower_better(
-            "yaw_drift", "rad", 1.6, "largest angle of the trunk's heading from where it stood"
-        ),
-    )
-
-    def __init__(self, settings: StandSettings, rules: TaskRules | None = None) -> None:
-        super().__init__(settings, rules)
-        self._most = (settings.drift, settings.turn)
-        self._settled = min(round(settings.settle / self._rules.control_period), self.steps)
-        self._from = np.zeros(3)  # x, y, yaw
-        self._drift = np.zeros(2)  # m, rad: the largest so far
-
-    def _see(self, readings: Readings, asked: Velocity) -> tuple[TaskEvent, ...]:
-        del asked
-        x, y, _ = readings.trunk_position.tolist()
-        yaw = float(readings.roll_pitch_yaw[2])
-        if self.step <= max(1, self._settled):
-            self._from[:] = x, y, yaw
-            return ()
-        from_x, from_y, from_yaw = self._from.tolist()
-        turned = abs((yaw - from_yaw + math.pi) % (2.0 * math.pi) - math.pi)
-        moved = math.hypot(x - from_x, y - from_y)
-        self._drift[:] = max(self._drift[0], moved), max(self._drift[1], turned)
-        return ()
-
-    def _judge(self) -> tuple[Outcome, str]:
-        moved, turned = self._drift.tolist()
-        most_moved, most_turned = self._most
-        if moved > most_moved:
-            return "timeout", "position drift"
-        return ("timeout", "yaw drift") if turned > most_turned else ("completed", "time")
-
-    def scores(self) -> dict[str, float]:
-        """Return both drifts; none of a trial that fell or ended otherwise before its time."""
-        if self._ended not in {"completed", "timeout"}:
-            return {}
-        return {"position_drift": float(self._drift[0]), "yaw_drift": float(self._drift[1])}
-
-    def _memory(self) -> dict[str, Array]:
-        return {"from": self._from, "drift": self._drift}
-
-    def _remember(self, arrays: Mapping[str, Any]) -> None:
-        self._from[:] = arrays["from"]
-        self._drift[:] = arrays["drift"]

@@ -18,7 +18,6 @@ from nw_sim.tasks.commanded import (
     Commanded,
     CommandedSettings,
     Range,
-    TaskPart,
     check_order,
     off_command,
 )
@@ -30,6 +29,7 @@ from nw_sim.tasks.task import (
     Streams,
     TaskEvent,
     TaskFault,
+    TaskPart,
     TaskRobot,
     TaskRules,
     TaskSettings,

@@ -23,6 +23,7 @@ from nw_gate.scores import ScoreSpec
 
 if TYPE_CHECKING:
     from nw_sim.tasks.reference import PlacedReference, Reference
+    from nw_sim.tasks.targets import OwnTarget
 
 Array = NDArray[np.float64]
 Velocity = tuple[float, float, float]
@@ -42,6 +43,12 @@ class TaskSettings(BaseModel):
     kind: Any
 
 
+class TaskPart(BaseModel):
+    """A mapping within the settings of a task."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
 @dataclass(frozen=True, kw_only=True)
 class TaskRules:
     """What a suite says of all its trials, whatever the task.
@@ -52,6 +59,7 @@ class TaskRules:
         control_period: seconds of one control step.
         contact_termination: whether a collision ends a trial.
         reference: the motion that the policy tracks, on its robot; None = it tracks none.
+        own: what a task may ask of the policy beside a velocity, by name; None = not known.
     """
 
     protocol: EvaluationProtocol = STRICT
@@ -59,6 +67,7 @@ class TaskRules:
     control_period: float = 0.02
     contact_termination: bool = True
     reference: Reference | None = None
+    own: Mapping[str, OwnTarget] | None = None
 
 
 class Streams(Protocol):
@@ -323,7 +332,8 @@ class Task(Protocol):
         Args:
             settings: of the suite.
             hears: what tells the policy what to do, by its card: `command`, a velocity; `speed`, a
-                forward speed; `way`, the direction to a waypoint; `motion`, one of its own.
+                forward speed; `vy`, `yaw`, these parts; `way`, the direction to a waypoint;
+                `motion`, one of its own.
             rules: of the suite's trials.
         """
         del settings, hears, rules
@@ -388,6 +398,16 @@ class Task(Protocol):
         return None
 
     @property
+    def targets(self) -> Mapping[str, float]:
+        """What the task asks for now beside a velocity, by name: rad of joints, m of a height."""
+        return {}
+
+    @property
+    def joint_offsets(self) -> Array | None:
+        """How far angles of joints at action 0 are from the card's now, (J,) rad; None = not."""
+        return None
+
+    @property
     def reference(self) -> PlacedReference | None:
         """The motion that is to be tracked, where it lies in the trial; None = there is none."""
         return None
@@ -420,3 +440,44 @@ class Task(Protocol):
             KeyError, TypeError, ValueError: it is damaged, or of another kind of task.
         """
         ...
+
+
+class TimedTask(Task):
+    """A task without parts: it ends by rules of its own, or when its time is over.
+
+    Args:
+        rules: of the suite's trials.
+
+    Attributes:
+        step: control steps done.
+        steps: of the whole trial.
+    """
+
+    def __init__(self, rules: TaskRules | None = None) -> None:
+        self._rules = TaskRules() if rules is None else rules
+        self.steps = 1
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self.step, self._contact_steps = 0, 0
+        self._ended: Outcome | None = None
+        self._reason = ""
+
+    def end(self) -> Outcome | None:
+        """Return how the trial ends, or None."""
+        return self._ended
+
+    @property
+    def end_reason(self) -> str:
+        """Say what decided the outcome."""
+        return self._reason
+
+    @property
+    def success(self) -> float:
+        """1 of a completed trial, else 0."""
+        return float(self._ended == "completed")
+
+    @property
+    def contact_seconds(self) -> float:
+        """Simulated time so far during which a monitored part collided, s."""
+        return self._contact_steps * self._rules.control_period

@@ -14,7 +14,6 @@ from nw_base.memory import pack, unpack
 from nw_base.words import Outcome
 from nw_gate.scores import ScoreSpec
 from nw_gate.scores.score import lower_better
-from nw_sim.tasks.commanded import TaskPart
 from nw_sim.tasks.course import Limits, draw_start, touched_by
 from nw_sim.tasks.reference import Errors, PlacedReference, conjugate, errors_of, product, turned
 from nw_sim.tasks.task import (
@@ -23,12 +22,13 @@ from nw_sim.tasks.task import (
     Readings,
     StartPose,
     Streams,
-    Task,
     TaskEvent,
     TaskFault,
+    TaskPart,
     TaskRobot,
     TaskRules,
     TaskSettings,
+    TimedTask,
 )
 
 _OFF = np.array([0.05, 0.05, 0.01, 0.1, 0.1, 0.2])
@@ -68,7 +68,7 @@ class TrackSettings(TaskSettings):
     lost: Lost = Lost()
 
 
-class TrackTask(Task):
+class TrackTask(TimedTask):
     """Track a motion from a frame of it to its end, or until the trial's time is over.
 
     The robot begins in the pose and with the velocities of the frame. The trial ends when the
@@ -110,15 +110,11 @@ class TrackTask(Task):
     )
 
     def __init__(self, settings: TrackSettings, rules: TaskRules | None = None) -> None:
-        self._rules = TaskRules() if rules is None else rules
+        super().__init__(rules)
         self._settings = settings
         self._limits = Limits()
         self._placed: PlacedReference | None = None
-        self.step, self.steps = 0, 1
-        self._contact_steps = 0
         self._sums = np.zeros(4)  # of the errors that scores average
-        self._ended: Outcome | None = None
-        self._reason = ""
 
     @classmethod
     def fault(
@@ -170,9 +166,8 @@ class TrackTask(Task):
         place = (goal.x, goal.y, float(spawn.position[2]))
         self._placed = PlacedReference(motion, start=first, place=place, yaw=goal.yaw)
         self.steps = max(1, min(last - first, round(self._rules.duration / period)))
-        self.step, self._contact_steps = 0, 0
+        self._begin_anew()
         self._sums[:] = 0.0
-        self._ended, self._reason = None, ""
         self.goal = Goal(x=goal.x, y=goal.y, yaw=goal.yaw, pose=self._pose(streams))
         return self.goal
 
@@ -249,25 +244,6 @@ class TrackTask(Task):
             motion = self._tracked.motion
             return "off_course", f"height of {motion.bodies[motion.ends[worst]]}"
         return None, ""
-
-    def end(self) -> Outcome | None:
-        """Return how the trial ends, or None."""
-        return self._ended
-
-    @property
-    def end_reason(self) -> str:
-        """Say what decided the outcome."""
-        return self._reason
-
-    @property
-    def success(self) -> float:
-        """1 of a completed trial, else 0."""
-        return float(self._ended == "completed")
-
-    @property
-    def contact_seconds(self) -> float:
-        """Simulated time so far during which a monitored part collided, s."""
-        return self._contact_steps * self._rules.control_period
 
     @property
     def standing(self) -> str:

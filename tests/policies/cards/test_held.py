@@ -147,7 +147,7 @@ def test_a_checkpoint_of_fewer_joints_is_met_with_those_it_may_drive():
 
 def test_a_file_of_all_joints_says_how_the_others_are_held():
     from nw_policies.drafting.checkpoint import ExporterMetadata
-    from nw_policies.drafting.some_joints import held_lines, known_of
+    from nw_policies.drafting.some_joints import held_lines, known_of, known_of_all
 
     angles = tuple(n / 10 for n in range(12))
     known = ExporterMetadata(
@@ -158,6 +158,9 @@ def test_a_file_of_all_joints_says_how_the_others_are_held():
     assert part.default_joint_pos == tuple(angles[GO1.joints.index(joint)] for joint in legs)
     assert part.joint_stiffness == (40.0,)
     (line,) = held_lines(legs, GO1, known)
-    hips = [name for name in GO1.joints if "hip" in name]
-    said = [f"{n.removesuffix('_joint')}: {angles[GO1.joints.index(n)]:g}" for n in hips]
-    assert line.startswith(f"  held: {{{', '.join(said)}}}")
+    hips = [name.removesuffix("_joint") for name in GO1.joints if "hip" in name]
+    assert line.startswith(f"  held: [{', '.join(hips)}]")
+    assert "at the pose above" in line
+    of_all = known_of_all(known, part, GO1)
+    assert of_all is not None
+    assert of_all.default_joint_pos == angles

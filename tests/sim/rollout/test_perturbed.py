@@ -18,7 +18,8 @@ from nw_sim.rollout.perturbed import EVERY, Pushes, TrialSetup, perturbed, unfel
 from nw_sim.rollout.trial import run_trial
 from nw_sim.sensors.sensor import FOG, Air
 from nw_sim.tasks import COURSE
-from nw_sim.tasks.commanded import Asked, VelocitySettings, with_command
+from nw_sim.tasks.commanded import Asked, with_command
+from nw_sim.tasks.velocity import VelocitySettings
 from nw_splat.image import Image
 
 PUBLISHED = "neverwhere-2026"

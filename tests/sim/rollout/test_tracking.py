@@ -430,7 +430,7 @@ def test_task_and_policy_must_both_be_of_a_motion():
 
 
 def open_settings(kind):
-    from nw_sim.tasks.commanded import StandSettings
+    from nw_sim.tasks.velocity import StandSettings
 
     assert kind == "stand"
     return StandSettings()

@@ -1,3 +1,6 @@
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -237,6 +240,29 @@ def test_the_trail_follower_keeps_a_least_speed_in_turns(world, read):
 def test_a_constant_command_is_constant(world, read):
     command = {"source": "constant", "velocity": [0.5, -0.1, 0.2]}
     assert read(world, terms("command"), command=command) == pytest.approx([0.5, -0.1, 0.2])
+
+
+def test_parts_of_a_command_stand_in_the_order_of_the_card(world, read):
+    command = {"source": "constant", "velocity": [0.5, -0.1, 0.2]}
+    yaw = {"term": "command", "parts": ["yaw"], "scale": 2.0}
+    rest = {"term": "command", "parts": ["vy", "vx"]}
+    assert read(world, terms(yaw, rest), command=command) == pytest.approx([0.4, -0.1, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("velocity", "expected"), [([0.0, 0.0, 0.05], 0.0), ([0.1, 0.0, 0.05], 1.0)]
+)
+def test_a_command_to_stand_is_one_below_a_norm(world, read, velocity, expected):
+    command = {"source": "constant", "velocity": velocity}
+    assert read(world, terms("moving"), command=command) == expected
+
+
+def test_targets_are_the_task_s_and_else_the_card_s(world, read, moment_of):
+    seen = terms({"term": "target", "of": {"height": 0.3, "FR_hip_joint": 0.1}, "scale": 2.0})
+    assert read(world, seen) == pytest.approx([0.6, 0.2])
+    moment = moment_of(world)
+    asking = SimpleNamespace(targets={"FR_hip": 0.4})
+    assert read(world, seen, moment=replace(moment, task=asking)) == pytest.approx([0.6, 0.8])
 
 
 @pytest.mark.parametrize("steps", [2, 5])

@@ -1,0 +1,193 @@
+"""What a task asks for beside a velocity: angles of joints, a height, whatever a policy reads.
+
+A policy that drives the legs of a humanoid walks whatever its arms do, and at the height that it is
+told. `control.commanded` of its card says which joints a task may move; terms `target` say which
+other names the policy reads. Values are drawn from the trial's own seed and known before it begins.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, NamedTuple, Self
+
+import numpy as np
+from pydantic import Field, Strict, model_validator
+
+from nw_base.errors import PolicyError, nearest
+from nw_policies.cards import JointControl
+from nw_policies.cards.joints import named_joints, short_name
+from nw_policies.cards.observations import ProprioObservation
+from nw_policies.cards.terms import Target, named_places
+from nw_sim.tasks.task import Array, Streams, TaskFault, TaskPart
+
+if TYPE_CHECKING:
+    from nw_policies.cards import Card
+    from nw_scenes.robots import RobotSpec
+
+HEIGHT = "height"
+"""The name of the trunk's height over the ground, m, which a task can measure."""
+
+_TINY = 1e-9  # s: times of control steps are sums
+_Asked = float | Annotated[tuple[float, float], Strict(False)]
+
+
+class Targets(TaskPart):
+    """Values by name, anew every few seconds: `{of: {height: [0.6, 0.75]}, every: 4, over: 1}`."""
+
+    of: Annotated[dict[str, _Asked], Field(min_length=1, max_length=200)]
+    """A number, or a range that is drawn from uniformly; joints by name, type or pattern."""
+    every: float = Field(default=4.0, ge=0.1, le=600.0)
+    """s until the next values."""
+    over: float = Field(default=1.0, ge=0.0, le=600.0)
+    """s in which a value changes linearly to the next one."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for name, asked in self.of.items():
+            low, high = _range(asked)
+            if low > high:
+                raise ValueError(
+                    f"{name} {low:g} to {high:g} is not a range; write the smaller one first"
+                )
+        if self.over > self.every:
+            raise ValueError(f"over, {self.over:g} s, is more than every, {self.every:g} s")
+        return self
+
+
+class OwnTarget(NamedTuple):
+    """What a policy's card has where no task asks for anything, and what may be asked for."""
+
+    value: float
+    low: float
+    high: float
+    joint: int | None
+    """Its index in the robot's order; None = no joint."""
+
+
+def own_targets(card: Card, robot: RobotSpec) -> dict[str, OwnTarget]:
+    """Return all that a task may ask for of a policy, by name: joints by their short one.
+
+    Raises:
+        PolicyError: `control.commanded` names no joint, or one whose action is no position.
+    """
+    control = JointControl.from_card(card, robot)
+    wanted = card.control.commanded
+    if wanted is None:
+        driven = set(control.driven.tolist())
+        places = [place for place in range(len(control.names)) if place not in driven]
+    else:
+        places = sorted(named_places(wanted, control.names, "control.commanded"))
+    own: dict[str, OwnTarget] = {}
+    for place in places:
+        name, index = short_name(control.names[place]), int(control.order[place])
+        if control.kinds[place] not in {"joint_position", "joint_position_offset"}:
+            raise PolicyError(
+                f"control.commanded: {name} is told {control.kinds[place]}, no position",
+                fix="leave it out",
+            )
+        own[name] = OwnTarget(float(control.base[place]), *robot.joint_ranges[index], index)
+    for seen in card.observations.values():
+        for term in seen.frame_terms if isinstance(seen, ProprioObservation) else ():
+            if isinstance(term, Target):
+                for name, value in term.of.items():
+                    if (key := short_name(name)) not in own:
+                        own[key] = OwnTarget(value, -math.inf, math.inf, None)
+    return own
+
+
+def targets_fault(targets: Targets, own: Mapping[str, OwnTarget]) -> TaskFault | None:
+    """Return why a policy cannot be asked for targets."""
+    for key, asked in targets.of.items():
+        names = named_joints(key, list(own))
+        if not names:
+            return TaskFault(
+                ("targets", "of", key),
+                f"the policy holds no joint {key!r}, and no term `target` of its card reads it",
+                nearest(key, list(own))
+                if own
+                else "add a term `target` to the card, or hold joints with `control.held`",
+            )
+        for name in names:
+            low, high = own[name].low, own[name].high
+            if _range(asked)[0] < low or _range(asked)[1] > high:
+                return TaskFault(
+                    ("targets", "of", key),
+                    f"{name} turns from {low:.3g} to {high:.3g} rad",
+                    "ask for angles within that",
+                )
+    return None
+
+
+class DrawnTargets:
+    """What a trial is asked for over time.
+
+    Args:
+        targets: of the suite.
+        own: of the policy; nothing of it is a fault.
+        streams: of the trial.
+        seconds: that it lasts at most.
+        joints: how many the robot has.
+
+    Attributes:
+        names: what is asked for, each once.
+        is_joint: (N,) whether each is an angle of a joint.
+    """
+
+    def __init__(
+        self,
+        targets: Targets,
+        own: Mapping[str, OwnTarget],
+        streams: Streams,
+        *,
+        seconds: float,
+        joints: int,
+    ) -> None:
+        asked: dict[str, tuple[float, float]] = {}
+        for key, value in targets.of.items():
+            asked |= dict.fromkeys(named_joints(key, list(own)), _range(value))
+        self.names = tuple(asked)
+        self._every, self._over, self._joints = targets.every, targets.over, joints
+        self._own = np.array([own[name].value for name in asked])
+        places = [own[name].joint for name in asked]
+        self.is_joint = np.array([place is not None for place in places], dtype=bool)
+        self._places = np.array([place for place in places if place is not None], dtype=np.intp)
+        low, high = np.array(list(asked.values())).T
+        # A row for each time: a longer trial begins as a shorter one.
+        count = int((seconds + _TINY) / targets.every) + 1
+        self._drawn = low + streams.generator("targets").random((count, len(asked))) * (high - low)
+
+    def at(self, seconds: float) -> Array:
+        """Return what is asked for at a time since the start, (N,)."""
+        number = min(int((seconds + _TINY) / self._every), len(self._drawn) - 1)
+        since = max(seconds - number * self._every, 0.0)
+        if since >= self._over:
+            return self._drawn[number]
+        before = self._own if number == 0 else self._drawn[number - 1]
+        return before + since / self._over * (self._drawn[number] - before)
+
+    def offsets(self, values: Array) -> Array:
+        """Return how far joints' angles at action 0 are from the card's, (J,) rad.
+
+        Args:
+            values: from `at`.
+        """
+        result = np.zeros(self._joints)
+        result[self._places] = (values - self._own)[self.is_joint]
+        return result
+
+    def off(self, values: Array, positions: Array) -> float:
+        """Return the mean absolute error of the joints that are asked for, rad; 0 without any.
+
+        Args:
+            values: from `at`.
+            positions: (J,) rad.
+        """
+        if not len(self._places):
+            return 0.0
+        errors = np.abs(positions[self._places] - values[self.is_joint])
+        return float(errors.sum()) / len(self._places)
+
+
+def _range(asked: float | tuple[float, float]) -> tuple[float, float]:
+    return asked if isinstance(asked, tuple) else (asked, asked)
