@@ -169,9 +169,9 @@ def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> N
     """Tell where a suite's task does not fit its policy or its episode, if both could be read."""
     from nw_scenes.robots import get_robot
     from nw_sim.axes import COMMANDED
+    from nw_sim.rollout.asked_for import own_targets
     from nw_sim.tasks import TaskRules, fault_of
     from nw_sim.tasks.commanded import is_commanded, with_command
-    from nw_sim.tasks.targets import own_targets
 
     if suite is None or bundle is None:
         return

@@ -84,7 +84,7 @@ def read_training(data: Fields, robot: RobotSpec, _: Sequence[Fields]) -> Export
     rate, every = simulation.number("fps"), simulation.number("control_decimation")
     motion = about.below("motion").get("motion_file")
     delay = data.below("domain_rand")
-    late = delay.numbers("ctrl_delay_step_range") if delay.get("randomize_ctrl_delay") else ()
+    late = delay.limits("ctrl_delay_step_range") if delay.get("randomize_ctrl_delay") else None
     return ExporterMetadata(
         joint_names=names,
         joint_stiffness=_by_part(control.below("stiffness"), names),
@@ -101,9 +101,9 @@ def read_training(data: Fields, robot: RobotSpec, _: Sequence[Fields]) -> Export
         motion_file=motion if isinstance(motion, str) else "",
         motion_joints=names if len(names) < len(robot.joints) else (),
         joint_count=len(names),
-        notes=(
-            *(f"its targets came {late[0]:g} to {late[-1]:g} physics steps late" for _ in late[:1]),
-        ),
+        notes=()
+        if late is None
+        else (f"its targets came {late[0]:g} to {late[1]:g} physics steps late",),
     )
 
 

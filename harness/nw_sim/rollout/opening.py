@@ -21,6 +21,7 @@ from nw_scenes import Scene
 from nw_scenes.robots import RobotSpec, get_robot
 from nw_sim.physics import World
 from nw_sim.rendering import SHOWN
+from nw_sim.rollout.asked_for import own_targets
 from nw_sim.rollout.episode import Episode
 from nw_sim.rollout.fault import extension_at_fault, policy_at_fault
 from nw_sim.rollout.job import StageClock
@@ -30,7 +31,6 @@ from nw_sim.rollout.scored import ScoreMeter
 from nw_sim.sensors import build_sensors
 from nw_sim.tasks import TaskRules, open_task
 from nw_sim.tasks.commanded import with_command
-from nw_sim.tasks.targets import own_targets
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,23 +7,15 @@ other names the policy reads. Values are drawn from the trial's own seed and kno
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, NamedTuple, Self
+from fnmatch import fnmatchcase
+from typing import Annotated, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, Strict, model_validator
 
-from nw_base.errors import PolicyError, nearest
-from nw_policies.cards import JointControl
-from nw_policies.cards.joints import named_joints, short_name
-from nw_policies.cards.observations import ProprioObservation
-from nw_policies.cards.terms import Target, named_places
+from nw_base.errors import nearest
 from nw_sim.tasks.task import Array, Streams, TaskFault, TaskPart
-
-if TYPE_CHECKING:
-    from nw_policies.cards import Card
-    from nw_scenes.robots import RobotSpec
 
 HEIGHT = "height"
 """The name of the trunk's height over the ground, m, which a task can measure."""
@@ -65,41 +57,10 @@ class OwnTarget(NamedTuple):
     """Its index in the robot's order; None = no joint."""
 
 
-def own_targets(card: Card, robot: RobotSpec) -> dict[str, OwnTarget]:
-    """Return all that a task may ask for of a policy, by name: joints by their short one.
-
-    Raises:
-        PolicyError: `control.commanded` names no joint, or one whose action is no position.
-    """
-    control = JointControl.from_card(card, robot)
-    wanted = card.control.commanded
-    if wanted is None:
-        driven = set(control.driven.tolist())
-        places = [place for place in range(len(control.names)) if place not in driven]
-    else:
-        places = sorted(named_places(wanted, control.names, "control.commanded"))
-    own: dict[str, OwnTarget] = {}
-    for place in places:
-        name, index = short_name(control.names[place]), int(control.order[place])
-        if control.kinds[place] not in {"joint_position", "joint_position_offset"}:
-            raise PolicyError(
-                f"control.commanded: {name} is told {control.kinds[place]}, no position",
-                fix="leave it out",
-            )
-        own[name] = OwnTarget(float(control.base[place]), *robot.joint_ranges[index], index)
-    for seen in card.observations.values():
-        for term in seen.frame_terms if isinstance(seen, ProprioObservation) else ():
-            if isinstance(term, Target):
-                for name, value in term.of.items():
-                    if (key := short_name(name)) not in own:
-                        own[key] = OwnTarget(value, -math.inf, math.inf, None)
-    return own
-
-
 def targets_fault(targets: Targets, own: Mapping[str, OwnTarget]) -> TaskFault | None:
     """Return why a policy cannot be asked for targets."""
     for key, asked in targets.of.items():
-        names = named_joints(key, list(own))
+        names = _named(key, own)
         if not names:
             return TaskFault(
                 ("targets", "of", key),
@@ -145,7 +106,7 @@ class DrawnTargets:
     ) -> None:
         asked: dict[str, tuple[float, float]] = {}
         for key, value in targets.of.items():
-            asked |= dict.fromkeys(named_joints(key, list(own)), _range(value))
+            asked |= dict.fromkeys(_named(key, own), _range(value))
         self.names = tuple(asked)
         self._every, self._over, self._joints = targets.every, targets.over, joints
         self._own = np.array([own[name].value for name in asked])
@@ -191,3 +152,9 @@ class DrawnTargets:
 
 def _range(asked: float | tuple[float, float]) -> tuple[float, float]:
     return asked if isinstance(asked, tuple) else (asked, asked)
+
+
+def _named(key: str, own: Mapping[str, OwnTarget]) -> list[str]:
+    """Return the names that a key means: one, a type of joints or a pattern, as on a card."""
+    name = key.removesuffix("_joint")
+    return [each for each in own if each.endswith(f"_{name}") or fnmatchcase(each, name)]

@@ -10,8 +10,8 @@ from nw_eval.suite.model import new_suite
 from nw_policies.cards.card import Card
 from nw_scenes.robots import get_robot
 from nw_sim.catalogue import get_scene
+from nw_sim.rollout.asked_for import own_targets
 from nw_sim.tasks import TaskRules, fault_of, open_task
-from nw_sim.tasks.targets import own_targets
 
 GO1 = get_robot("go1")
 CARD = {
