@@ -14,6 +14,7 @@ from nw_policies.cards.joints import short_name
 from nw_policies.drafting.checkpoint import CheckpointFacts, ExporterMetadata
 from nw_policies.drafting.configs import reordered
 from nw_policies.drafting.notation import CHECK, plain
+from nw_policies.drafting.trained import trained_network
 from nw_scenes.robots import RobotSpec
 
 _FEWEST = 6
@@ -42,6 +43,7 @@ def driven_joints(
         fits = set(names) < set(own) and len(set(names)) == len(names) >= _FEWEST
         return tuple(own[name] for name in names) if fits else ()
     sizes = {output.shape[-1] for output in facts.outputs if output.shape}
+    sizes = sizes or _outputs_of_weights(facts, len(own))
     counts = {count} if count else {size for size in sizes if size}
     if len(counts) != 1 or not _FEWEST <= (wanted := counts.pop()) < len(own):
         return ()
@@ -49,6 +51,18 @@ def driven_joints(
     lower = [name for name in own if re.search(f"{_LEG}|{_WAIST}", name, re.IGNORECASE)]
     taken = next((each for each in (legs, lower) if len(each) == wanted), list(own)[:wanted])
     return tuple(own[name] for name in taken)
+
+
+def _outputs_of_weights(facts: CheckpointFacts, joints: int) -> set[int | None]:
+    """Return how many joints a training's network drives, where that is fewer than a robot has."""
+    if facts.adapter is not None or trained_network(facts, joints) is not None:
+        return set()
+    networks = {count: trained_network(facts, count) for count in range(_FEWEST, joints)}
+    return {
+        count
+        for count, network in networks.items()
+        if network is not None and network.is_known and network.layers[-1].outputs == count
+    }
 
 
 def known_of(known: ExporterMetadata | None, driven: Sequence[str]) -> ExporterMetadata | None:

@@ -44,6 +44,7 @@ _PASSED_OVER = {
 }
 """What of a training's file has no effect on a policy in use: the reason, and names of entries."""
 _OTHERS = re.compile("|".join(_PASSED_OVER.values()), re.IGNORECASE)
+_UNKNOWN = "an unknown trainer"
 _STATISTICS = re.compile(r"normali[sz]|preproc|running_|rms|(^|[._])(mean|var|variance)(\.|$)")
 """Names of what observations may be normalised by; its `std` is no deviation of actions."""
 
@@ -74,6 +75,11 @@ class TrainedNetwork:
     """What is multiplied with the last activation, as the card writes it; 1 if empty."""
     output_bias: str = ""
     """What is added to that; 0 if empty."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the names of its tensors are those of a trainer, and not only its sizes fit."""
+        return self.trainer not in {"flax", _UNKNOWN}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,7 +230,7 @@ def trained_network(facts: CheckpointFacts, joints: int) -> TrainedNetwork | Non
     prefix, layers = wanted[0]
     flax = layers[0].transposed
     network = TrainedNetwork(
-        trainer="flax" if flax else "an unknown trainer",
+        trainer="flax" if flax else _UNKNOWN,
         weights=(prefix,),
         layers=layers,
         activation="tanh" if flax else "elu",

@@ -164,3 +164,20 @@ def test_a_file_of_all_joints_says_how_the_others_are_held():
     of_all = known_of_all(known, part, GO1)
     assert of_all is not None
     assert of_all.default_joint_pos == angles
+
+
+@pytest.mark.parametrize(("outputs", "driven"), [(8, 8), (12, 0), (5, 0)])
+def test_weights_of_a_training_say_how_many_joints_they_drive(tmp_path, outputs, driven):
+    import torch
+
+    from nw_policies.drafting.checkpoint import inspect_checkpoint
+    from nw_policies.drafting.draft import write_card_draft
+    from nw_policies.drafting.some_joints import driven_joints
+
+    net = torch.nn.Sequential(torch.nn.Linear(39, 16), torch.nn.ELU(), torch.nn.Linear(16, outputs))
+    weights = {f"actor.{name}": value for name, value in net.state_dict().items()}
+    torch.save({"model_state_dict": {**weights, "std": torch.ones(outputs)}}, tmp_path / "model.pt")
+    facts = inspect_checkpoint(tmp_path / "model.pt")
+    assert len(driven_joints(facts, None, GO1)) == driven
+    if driven:
+        assert "  held: [" in write_card_draft(facts, GO1)
