@@ -528,9 +528,11 @@ def _robot_log_seeds(_):
 
 
 def _read_robot_log(folder):
-    from nw_sim.rollout.replaying.robot_log import log_file, read_robot_log
+    from nw_sim.rollout.replaying.log_container import as_mcap
+    from nw_sim.rollout.replaying.robot_log import read_robot_log
 
-    read_robot_log(log_file(folder / "log.mcap"), robot="go1", topics={})
+    with as_mcap(folder / "log.mcap") as log:
+        read_robot_log(log, robot="go1", topics={})
 
 
 def _camera_seeds(_):

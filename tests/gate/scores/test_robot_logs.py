@@ -11,9 +11,11 @@ import json
 import math
 import os
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
+import lz4.frame
 import numpy as np
 import pytest
 import zstandard
@@ -693,21 +695,7 @@ def plain_log(tmp_path):
     return write(tmp_path / "log.mcap", sine(EPOCH + TIMES))
 
 
-def as_sqlite(path, _):
-    connection = sqlite3.connect(path)
-    connection.execute("create table messages (id integer)")
-    connection.commit()
-    connection.close()
-
-
 FILES = {
-    "a SQLite bag; convert it: `mcap convert": as_sqlite,
-    "compressed as a whole; unpack it first: `zstd -d": lambda path, log: path.write_bytes(
-        zstandard.compress(log)
-    ),
-    "compressed as a whole; unpack it first: `gunzip": lambda path, log: path.write_bytes(
-        gzip.compress(log)
-    ),
     "a ROS 1 bag; convert it: `rosbags-convert": lambda path, _: path.write_bytes(
         b"#ROSBAG V2.0\n"
     ),
@@ -738,7 +726,7 @@ def test_the_folder_of_a_bag_is_its_one_file(tmp_path):
     folder = tmp_path / "bag"
     folder.mkdir()
     (folder / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
-    with pytest.raises(UsageError, match="is a folder with no MCAP file"):
+    with pytest.raises(UsageError, match=r"is a folder with no MCAP file and no \.db3"):
         scores(folder)
     plain_log(folder)
     assert scores(folder).values["mean_power"] == pytest.approx(SINE, rel=0.01)
@@ -747,11 +735,164 @@ def test_the_folder_of_a_bag_is_its_one_file(tmp_path):
         scores(folder)
 
 
-def test_chunks_of_lz4_are_whole_but_not_read(tmp_path):
-    path = write(tmp_path / "log.mcap", sine(EPOCH + TIMES), compression=CompressionType.LZ4)
-    with pytest.raises(
-        UsageError, match="compressed by 'lz4', not zstd; convert it: `mcap compress"
-    ):
+@pytest.mark.parametrize("compression", CompressionType)
+def test_chunks_are_read_however_they_are_compressed(tmp_path, compression):
+    path = write(tmp_path / "log.mcap", sine(EPOCH + TIMES), compression=compression)
+    assert scores(path).values["mean_power"] == pytest.approx(SINE, rel=0.01)
+
+
+PACKERS = {"zstd": zstandard.compress, "gz": gzip.compress, "lz4": lz4.frame.compress}
+
+
+@pytest.mark.parametrize("name", PACKERS)
+def test_a_log_that_is_compressed_as_a_whole_is_read(tmp_path, name):
+    log = plain_log(tmp_path)
+    packed = tmp_path / f"log.mcap.{name}"
+    packed.write_bytes(PACKERS[name](log.read_bytes()))
+    found = scores(packed)
+    assert found.values == scores(log).values
+    assert found.log == packed
+
+
+# Bags of rosbag2's storage `sqlite3`.
+
+
+def as_bag(log, path, *, part=slice(None), definitions=False):
+    """Write messages of an MCAP file as `ros2 bag record -s sqlite3` lays them out."""
+    with log.open("rb") as stream:
+        messages = list(make_reader(stream).iter_messages())
+    with closing(sqlite3.connect(path)) as bag, bag:
+        bag.execute(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
+            "serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL)"
+        )
+        bag.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL,"
+            "timestamp INTEGER NOT NULL, data BLOB NOT NULL)"
+        )
+        kinds = {channel.topic: schema for schema, channel, _ in messages}
+        topics = list(kinds)
+        for number, topic in enumerate(topics, 1):
+            row = (number, topic, kinds[topic].name, "cdr", "")
+            bag.execute("INSERT INTO topics VALUES(?, ?, ?, ?, ?)", row)
+        if definitions:
+            bag.execute(
+                "CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT,"
+                "encoding TEXT, encoded_message_definition TEXT, type_description_hash TEXT)"
+            )
+            for number, schema in enumerate(kinds.values()):
+                row = (number, schema.name, "ros2msg", schema.data.decode(), "")
+                bag.execute("INSERT INTO message_definitions VALUES(?, ?, ?, ?, ?)", row)
+        for _, channel, message in messages[part]:
+            row = (topics.index(channel.topic) + 1, message.log_time, message.data)
+            bag.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)", row)
+    return path
+
+
+def walking_log(tmp_path):
+    """Every kind of message that a definition is known of here, but Unitree's."""
+    times = (EPOCH + TIMES).tolist()
+    entries = sine(times)
+    entries += [
+        (time, "/odom", ODOM, odometry(time, place=(0.5 * (time - EPOCH), 0.0, 0.3)))
+        for time in times
+    ]
+    entries += [(time, "/imu", IMU, imu(time)) for time in times]
+    entries += [
+        (time, "/cmd_vel", STAMPED, {"header": header(time), "twist": twist()}) for time in times
+    ]
+    entries += [
+        (time, "/action_target", ARRAY, {"layout": LAYOUT, "data": STAND}) for time in times
+    ]
+    return write(tmp_path / "walk.mcap", entries)
+
+
+@pytest.mark.parametrize("definitions", [False, True])
+def test_a_bag_has_the_scores_of_the_same_messages_in_mcap(tmp_path, definitions):
+    log = walking_log(tmp_path)
+    bag = as_bag(log, tmp_path / "walk_0.db3", definitions=definitions)
+    found, wanted = scores(bag), scores(log)
+    assert found.values == wanted.values
+    assert {"mean_power", "tracking_error_linear", "action_rate"} <= set(found.values)
+    assert dict(found.topics) == dict(wanted.topics)
+
+
+def test_the_parts_of_a_bag_are_one_log_in_the_order_of_their_numbers(tmp_path):
+    log, folder = walking_log(tmp_path), tmp_path / "walk"
+    folder.mkdir()
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
+    cut = len(TIMES)
+    as_bag(log, folder / "walk_2.db3", part=slice(cut))
+    as_bag(log, folder / "walk_10.db3", part=slice(cut, None))
+    packed = folder / "walk_2.db3"
+    (folder / "walk_2.db3.zstd").write_bytes(zstandard.compress(packed.read_bytes()))
+    packed.unlink()
+    found = scores(folder)
+    assert found.values == scores(log).values
+    assert found.log == folder
+
+
+def test_a_bag_of_unitree_s_messages_needs_no_definitions_of_its_own(tmp_path):
+    from nw_sim.rollout.replaying.log_container import definition_of
+
+    motor = dict.fromkeys(("ddq", "q_raw", "dq_raw", "ddq_raw"), 0.0)
+    motor |= {"mode": 1, "temperature": 0, "lost": 0, "reserve": [0, 0], "dq": 1.0, "tau_est": 2.0}
+    state = {
+        "head": [0, 0], "level_flag": 0, "frame_reserve": 0, "sn": [0, 0], "version": [0, 0],
+        "bandwidth": 0,
+        "imu_state": {
+            "quaternion": [1.0, 0.0, 0.0, 0.0], "gyroscope": [0.0] * 3,
+            "accelerometer": [0.0] * 3, "rpy": [0.0] * 3, "temperature": 0,
+        },
+        "bms_state": {
+            "version_high": 0, "version_low": 0, "status": 0, "soc": 0, "current": 0, "cycle": 0,
+            "bq_ntc": [0, 0], "mcu_ntc": [0, 0], "cell_vol": [0] * 15,
+        },
+        "foot_force": [0] * 4, "foot_force_est": [0] * 4, "tick": 0, "wireless_remote": [0] * 40,
+        "bit_flag": 0, "adc_reel": 0.0, "temperature_ntc1": 0, "temperature_ntc2": 0,
+        "power_v": 0.0, "power_a": 0.0, "fan_frequency": [0] * 4, "reserve": 0, "crc": 0,
+    }  # fmt: skip
+    kind = "unitree_go/msg/LowState"
+    log = tmp_path / "low.mcap"
+    with log.open("wb") as stream:
+        writer = Writer(stream)
+        schema = writer.register_msgdef(kind, definition_of(kind))
+        for time in TIMES.tolist():
+            motors = [{**motor, "q": time} for _ in range(20)]
+            ns = round((EPOCH + time) * 1e9)
+            writer.write_message("/lowstate", schema, {**state, "motor_state": motors}, ns, ns)
+        writer.finish()
+    assert scores(as_bag(log, tmp_path / "low.db3")).values["mean_power"] == pytest.approx(24.0)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda bag: bag.execute("DROP TABLE messages"), "no tables `topics` and `messages`"),
+        (lambda bag: bag.execute("UPDATE topics SET type = 'a/msg/B'"), "is not read"),
+        (
+            lambda bag: bag.executescript(
+                "ALTER TABLE messages RENAME TO m;"
+                "CREATE VIEW messages AS SELECT id, topic_id, timestamp, hex(data) AS data FROM m"
+            ),
+            "is damaged: not authorized to use function: hex",
+        ),
+        (lambda bag: bag.execute("UPDATE messages SET timestamp = 'late'"), "is damaged"),
+    ],
+)
+def test_a_bag_that_is_none_is_an_error_of_that_file(tmp_path, spoil, words):
+    path = as_bag(plain_log(tmp_path), tmp_path / "log.db3")
+    with closing(sqlite3.connect(path)) as bag, bag:
+        spoil(bag)
+    with pytest.raises((StoreError, UsageError), match=words) as caught:
+        scores(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_cut_bag_is_damaged(tmp_path):
+    path = as_bag(plain_log(tmp_path), tmp_path / "log.db3")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(StoreError, match=r"log\.db3 is damaged: database disk image is malformed"):
         scores(path)
 
 

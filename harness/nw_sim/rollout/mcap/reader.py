@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from typing import IO, TYPE_CHECKING, Any
 
+import lz4.frame
 import numpy as np
 import zstandard
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -239,10 +240,13 @@ def _unpacked(chunk: Chunk) -> bytes:
     size, packed = chunk.uncompressed_size, len(chunk.data)
     if size > _MOST_RECORD or size > max(_MOST_RATIO * packed, _FREE):
         raise ValueError(f"a chunk of {packed} bytes unpacks to {size}")
-    if chunk.compression not in {"", "zstd"}:
-        raise CompressionError(f"a chunk is compressed by {chunk.compression[:20]!r}, not zstd")
+    if chunk.compression not in {"", "zstd", "lz4"}:
+        kind = chunk.compression[:20]
+        raise CompressionError(f"a chunk is compressed by {kind!r}, not zstd or lz4")
     data = chunk.data
-    if chunk.compression:
+    if chunk.compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size) if size else b""
+    elif chunk.compression:
         # zstd believes a frame's own word for its size, whatever limit one gives.
         if zstandard.frame_content_size(data) not in {-1, size}:
             raise ValueError("a chunk's size is not the one in its header")

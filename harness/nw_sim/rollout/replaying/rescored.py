@@ -36,6 +36,7 @@ from nw_sim.rollout.confined.isolated import call_isolated
 from nw_sim.rollout.library import Library
 from nw_sim.rollout.mcap.reader import LogReader
 from nw_sim.rollout.record import TRIAL
+from nw_sim.rollout.replaying.log_container import as_mcap
 from nw_sim.rollout.replaying.logged import read_logged_trial
 from nw_sim.rollout.replaying.policy_switch import (
     decisions,
@@ -43,7 +44,7 @@ from nw_sim.rollout.replaying.policy_switch import (
     replay_bundle,
     switch_of,
 )
-from nw_sim.rollout.replaying.robot_log import RobotLog, log_file, read_robot_log
+from nw_sim.rollout.replaying.robot_log import RobotLog, read_robot_log
 from nw_sim.tasks import declared_by
 
 if TYPE_CHECKING:
@@ -106,7 +107,19 @@ def scores_of_log(
         UsageError: there is no such score or robot, or a robot's log names none.
         SceneError: the scene of the trial is not here.
     """
-    asked, path = tuple(dict.fromkeys(names)), log_file(path)
+    with as_mcap(path) as log:
+        return replace(_scores_of(log, names, robot, topics, allow_code=allow_code), log=path)
+
+
+def _scores_of(
+    path: Path,
+    names: Sequence[str],
+    robot: str | None,
+    topics: Mapping[str, str],
+    *,
+    allow_code: bool,
+) -> LogScores:
+    asked = tuple(dict.fromkeys(names))
     if TRIAL in LogReader(path).metadata():
         if topics or robot is not None:
             raise UsageError(

@@ -9,7 +9,6 @@ Readings that two sources tell otherwise, or that were not measured, are left ou
 from __future__ import annotations
 
 import re
-import stat
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -29,6 +28,7 @@ from nw_sim.catalogue import get_scene
 from nw_sim.physics import World
 from nw_sim.rollout.mcap.reader import DAMAGE, CompressionError, foreign
 from nw_sim.rollout.replaying.log_clock import Stamps, common, on_one_clock, stretches
+from nw_sim.rollout.replaying.log_container import ROS_1
 from nw_sim.rollout.replaying.log_doubts import Readings, doubt
 from nw_sim.rollout.replaying.log_messages import (
     FIELDS,
@@ -70,16 +70,6 @@ _MOST_SUBSTEPS = 20  # 1 kHz
 _FEWEST = 0.9 * CONTROL_RATE  # messages a second of joints and targets
 _FEWEST_POSES = 4.5  # The trunk's way is sampled at 5 Hz.
 _ROS_1 = "convert it: `rosbags-convert --src BAG --dst OUT --dst-storage mcap`"
-_CONTAINERS = (
-    (b"SQLite format 3\0", "a SQLite bag", "convert it: `mcap convert BAG.db3 OUT.mcap`"),
-    (b"#ROSBAG", "a ROS 1 bag", _ROS_1),
-    (b"\x28\xb5\x2f\xfd", "compressed as a whole", "unpack it first: `zstd -d FILE`"),
-    (b"\x1f\x8b", "compressed as a whole", "unpack it first: `gunzip FILE`"),
-    (b"\x04\x22\x4d\x18", "compressed as a whole", "unpack it first: `lz4 -d FILE`"),
-    (b"PK\x03\x04", "a zip archive", "unpack it first"),
-    (b"version https://git-lfs", "a Git LFS pointer, not the file", "get the file: `git lfs pull`"),
-)
-"""What a log may lie in: its first bytes, what that is, and what to do."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,41 +130,6 @@ def _kinds_of(source: str) -> tuple[str, ...]:
     return tuple(kind for rank in _SOURCES[source] for kind in rank)
 
 
-def log_file(path: Path) -> Path:
-    """Return the MCAP file that a path means: itself, or the one in the folder of a bag.
-
-    Raises:
-        StoreError: there is nothing, or no file.
-        UsageError: it is a log in another form, or there is not one MCAP file in the folder.
-    """
-    if path.is_dir():
-        files = sorted(each for each in path.iterdir() if each.suffix in {".mcap", ".db3", ".zstd"})
-        logs = [each for each in files if each.suffix == ".mcap"] or files
-        if len(logs) != 1:
-            names = ", ".join(each.name for each in logs[:5]) or "no MCAP file"
-            raise UsageError(
-                f"{path} is a folder with {clean(names, at_most=300)}",
-                fix="name one MCAP file; `mcap merge` puts the parts of a bag together",
-            )
-        path = logs[0]
-    try:
-        if not stat.S_ISREG(path.stat().st_mode):  # A pipe may never end.
-            raise StoreError(f"{path} is not a file", fix="name an MCAP file")
-        with path.open("rb") as stream:
-            start = stream.read(64)
-    except OSError as error:
-        raise StoreError(f"cannot read {path}: {error.strerror}", fix="check the path") from None
-    if not start:
-        raise UsageError(f"{path} is empty", fix="name another log")
-    for magic, what, fix in _CONTAINERS:
-        if start.startswith(magic):
-            raise UsageError(f"{path} is {what}", fix=fix)
-    if not start.startswith(b"\x89MCAP"):
-        begin = clean(start[:16].decode(errors="replace"), at_most=40)
-        raise UsageError(f"{path} is no MCAP file: it begins with {begin!r}", fix="name a log")
-    return path
-
-
 def read_robot_log(path: Path, *, robot: str, topics: Mapping[str, str]) -> RobotLog:
     """Return the readings of a log.
 
@@ -216,7 +171,7 @@ def read_robot_log(path: Path, *, robot: str, topics: Mapping[str, str]) -> Robo
         there = "; ".join(f"{name}: {why}" for name, why in unused.items()) or "no messages"
         raise UsageError(
             f"{path} has no topic that scores are computed from: {clean(there, at_most=600)}",
-            fix=_ROS_1 if "(ros1msg)" in there else f"log one of {wanted}, or name it with --topic",
+            fix=ROS_1 if "(ros1msg)" in there else f"log one of {wanted}, or name it with --topic",
         )
     return _gridded(path, spec, read, unused)
 
