@@ -146,7 +146,7 @@ def write_card_draft(
     lines = [
         *_summary(facts),
         "nw-policy: 1",
-        f"name: {_name(facts.path)}",
+        f"name: {quoted(_name(facts.path))}",
         'title: ""  # one line for people',
         f'licence: ""  {CHECK} under which terms may others run it?',
         *_trained_speeds(known),

@@ -131,7 +131,7 @@ class _Draft:
 
     def _read(self, *lines: str) -> RobotFolder:
         self.seen.clear()
-        head = ["nw-robot: 1", f"name: {self.name}", f"model: {{file: {_file(self.file)}}}"]
+        head = ["nw-robot: 1", f"name: {quoted(self.name)}", f"model: {{file: {_file(self.file)}}}"]
         return read_folder(self.root, "\n".join([*head, *lines]) + "\n", self.seen)
 
     def _spec(self, *lines: str) -> RobotSpec:
@@ -167,7 +167,7 @@ class _Draft:
             f"# Drafted from {plain(self.file)}: {has}.",
             "# Lines with CHECK are guesses. Then: nw-eval robots check FOLDER",
             "nw-robot: 1",
-            f"name: {self.name}{note}",
+            f"name: {quoted(self.name)}{note}",
             f"model: {{file: {_file(self.file)}}}",
         ]
 

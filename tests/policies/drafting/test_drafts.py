@@ -151,6 +151,8 @@ def test_a_map_of_depth_is_a_camera(onnx_file, drafted):
         ("trot/policy-final.onnx", "trot"),
         ("trot/modelling.onnx", "modelling"),
         ("trot/gallop.onnx", "gallop"),
+        ("007/policy.onnx", "007"),
+        ("trot/1e3.onnx", "1e3"),
     ],
 )
 def test_a_policy_is_named_after_its_folder_where_its_file_has_no_name(

@@ -131,6 +131,12 @@ def test_out_gets_the_model_and_its_meshes_and_nothing_else(model, tmp_path):
         api.init_robot(model, out=model / "b2")
 
 
+@pytest.mark.parametrize("name", ["7", "1e3", "no"])
+def test_a_robot_may_be_called_by_what_yaml_takes_for_another_value(model, tmp_path, name):
+    api.init_robot(model, out=tmp_path / name)
+    assert api.show_robot(str(tmp_path / name)).name == name
+
+
 def test_meshes_beside_the_folder_of_a_urdf_make_that_above_the_robots(tmp_path):
     import trimesh
 
