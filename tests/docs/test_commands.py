@@ -35,8 +35,9 @@ OWN_TESTS = {
 }
 """Pages whose worked examples have tests of their own, with all that they print."""
 
-BY_NIGHT = {"docs/how-to/training.md"}
-"""Pages that take a minute of processor time; tests/learn trains, exports and resumes by day."""
+BY_NIGHT = {"docs/how-to/training.md", "docs/how-to/gate-limits.md", "docs/how-to/ladders.md"}
+"""Pages that take a minute of processor time. By day, tests/learn trains, exports and resumes, and
+test_limits.py and test_limit_gates.py of tests/eval/api search limits and gate them."""
 
 _ONE_TRIAL = "--trials 1 --scenes hurdles/one_low_carpet --record none"
 REDUCED = MappingProxyType(

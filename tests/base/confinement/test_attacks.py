@@ -77,8 +77,12 @@ FILES = ("read ", "list ")
 
 @pytest.mark.parametrize(
     ("landlock", "python"),
-    [("on", ""), ("5", ""), ("off", ""), ("on", sys.executable)],
-    ids=["whole", "older Landlock", "no Landlock", "a Python of its own"],
+    [
+        pytest.param("on", "", id="whole"),
+        pytest.param("5", "", id="older Landlock", marks=pytest.mark.nightly),
+        pytest.param("off", "", id="no Landlock"),
+        pytest.param("on", sys.executable, id="a Python of its own", marks=pytest.mark.nightly),
+    ],
 )
 def test_no_attack_of_a_policy_gets_through(place, as_user, landlock, python):
     (folder := place / "run").mkdir()

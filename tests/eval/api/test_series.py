@@ -115,6 +115,7 @@ def test_a_checkpoint_that_falls_by_a_gated_score_alone_is_flagged_and_the_score
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("series")
+@pytest.mark.nightly
 def test_a_checkpoint_whose_limit_alone_is_lower_is_flagged_by_the_ladder():
     text = SUITE.partition("gate:")[0] + (
         "gate:\n  max_drop: 0.5\n  rounds: 4\n  least_starts: 1\n  limits:\n"

@@ -273,6 +273,7 @@ def test_what_is_no_folder_is_refused(training):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_limits_of_each_checkpoint_are_searched_and_drawn_over_the_steps(training):
     Path("one.yaml").write_text(LADDER)
     good(training / "model_20.onnx")
