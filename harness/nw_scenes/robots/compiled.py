@@ -167,27 +167,47 @@ class CompiledRobot:
                 break
             except ValueError as error:
                 said, *about = str(error).strip().splitlines()
-                if "balanceinertia" in said and compiler.get("balanceinertia") != "true":
-                    compiler.set("balanceinertia", "true")
-                    name = (re.findall(r"name '([^']+)'", " ".join(about)) or ["?"])[0]
-                    self.folder.account.loses(
-                        f"inertia of <link {name}>, and others: no body has it, as A + B < C; the "
-                        "mean of the three is taken",
-                        self.folder.line_of(name, "body"),
-                    )
-                elif tried or next(urdf.iter("visual"), None) is None:
+                name = (re.findall(r"name '([^']+)'", " ".join(about)) or ["?"])[0]
+                if self._is_mended(said, name, urdf, compiler):
+                    continue
+                if tried or next(urdf.iter("visual"), None) is None:
                     raise
-                else:  # What is wrong without its looks, is.
-                    tried = 1
-                    for link in urdf.iter("link"):
-                        for visual in link.findall("visual"):
-                            link.remove(visual)
-                    self.folder.notes.append(f"its <visual> are not drawn: MuJoCo says {said}")
+                tried = 1  # What is wrong without its looks, is.
+                for link in urdf.iter("link"):
+                    for visual in link.findall("visual"):
+                        link.remove(visual)
+                self.folder.notes.append(f"its <visual> are not drawn: MuJoCo says {said}")
         model = fromstring(spec.to_xml())  # noqa: S314 - MuJoCo's own text.
         for each in model.findall("compiler"):
             for key in ("meshdir", "texturedir", "strippath"):
                 each.attrib.pop(key, None)
         return model
+
+    def _is_mended(self, said: str, name: str, urdf: Element, compiler: Element) -> bool:
+        """Give a link an inertia that a body can have, where MuJoCo refuses its own; or do not."""
+        line = self.folder.line_of(name, "body")
+        if "balanceinertia" in said and compiler.get("balanceinertia") != "true":
+            compiler.set("balanceinertia", "true")
+            self.folder.account.loses(
+                f"inertia of <link {name}>, and others: no body has it, as A + B < C; the mean of "
+                "the three is taken",
+                line,
+            )
+            return True
+        if "positive eigenvalues" not in said:
+            return False
+        # Slips: 0.001 for each of the six numbers of a hatch, 0.015 for 0.00015.
+        products: dict[str, str] = {"ixy": "0", "ixz": "0", "iyz": "0"}
+        links = [each for each in urdf.iter("link") if each.get("name") == name]
+        found = [inertia for link in links for inertia in link.iter("inertia")]
+        if all(each.attrib | products == each.attrib for each in found):
+            return False
+        for each in found:
+            each.attrib.update(products)
+        self.folder.account.loses(
+            f"ixy, ixz and iyz of <link {name}>: no body has them beside its ixx, iyy and izz", line
+        )
+        return True
 
     def _read_urdf(self, urdf: Element) -> Any:
         text = tostring(urdf, encoding="unicode")

@@ -34,6 +34,7 @@ from nw_base.files.yaml_file import (
 )
 from nw_base.lens import Intrinsics, ShutterTime
 from nw_scenes.robots.account import SHAPES, Account, unexpanded
+from nw_scenes.robots.collada import SUFFIX, as_stl
 
 Array = npt.NDArray[np.float64]
 
@@ -648,10 +649,10 @@ class _Reader:
             ValueError: what is wrong with it.
         """
         suffix = path.suffix.lower()
-        message = "only STL and OBJ are read" if suffix not in _READ else ""
+        message = "" if suffix in {*_READ, SUFFIX} else "only STL, OBJ and COLLADA are read"
         if not message:
-            content = self.read(str(path), MESH_BYTES)
-            faces = len(triangles(content, suffix)[1])
+            content = self._content(path)
+            faces = len(triangles(content, suffix.replace(SUFFIX, ".stl"))[1])
             total = sum(map(len, self.meshes.values())) + len(content)
             if faces <= FACES and total <= MESHES_BYTES and len(self.meshes) < MESHES:
                 return content
@@ -668,7 +669,7 @@ class _Reader:
         # `../meshes/hip.stl` of a model in a folder below the robot's does not leave that.
         file, line = os.path.normpath(path), self.lines[element]
         try:
-            content = self.read(file, MESH_BYTES)
+            content = self._content(file)
         except FileNotFoundError:
             message = f"mesh {file!r} is not in the folder"
             raise self.fault(message, _ABSENT, line) from None
@@ -676,12 +677,29 @@ class _Reader:
             fix = _THINNER if "MiB, over" in str(error) else _ABSENT
             if isinstance(error, OutsideError):
                 fix = "copy it into the folder, and name it by a path from the model file"
+            elif path.suffix.lower() == SUFFIX:
+                fix = _AGAIN
             raise self.fault(f"mesh {error}", fix, line) from None
         name = self._named(file, content)
         if len(self.meshes) > MESHES or sum(map(len, self.meshes.values())) > MESHES_BYTES:
             bound = f"{MESHES} meshes or {MESHES_BYTES // 2**20} MiB"
             raise self.fault(f"it has over {bound}", _THINNER, line)
         return name
+
+    def _content(self, file: str | Path) -> bytes:
+        """Return the bytes of a mesh, of COLLADA as STL.
+
+        Raises:
+            FileNotFoundError: there is none.
+            ValueError: what is wrong with it.
+        """
+        content = self.read(str(file), MESH_BYTES)
+        if Path(file).suffix.lower() != SUFFIX:
+            return content
+        try:
+            return as_stl(content)
+        except ValueError as error:
+            raise ValueError(f"{str(file)!r}: {error}") from None
 
     def _in_folder(self, file: str, meshdir: str) -> str:
         """Return the path of a URDF's mesh within the folder, or the likeliest of one that is not.
@@ -708,12 +726,13 @@ class _Reader:
 
     def _named(self, path: str | Path, content: bytes) -> str:
         """Keep a mesh, and return the name that it has from now on."""
-        name = f"{len(self.meshes)}{Path(path).suffix.lower()}"
+        name = f"{len(self.meshes)}{Path(path).suffix.lower().replace(SUFFIX, '.stl')}"
         self.meshes[name], self.names[name] = content, str(path)
         return name
 
 
 _TAG_LINES = 30  # that a tag may have, for its place to be told
+_AGAIN = "save it again as STL or OBJ, or leave it out"
 _THINNER = "thin it out, or leave it out"
 _ABSENT = "put it there, or remove the mesh and its geoms from the file"
 
@@ -755,8 +774,7 @@ def fill_meshes(model: Element, folder: RobotFolder) -> None:
         try:
             vertices, faces = triangles(folder.meshes[file], Path(file).suffix)
         except ValueError as error:
-            fix = "save it again as STL or OBJ, or leave it out"
-            raise folder.fault(f"mesh {name!r}: {error}", fix, line) from None
+            raise folder.fault(f"mesh {name!r}: {error}", _AGAIN, line) from None
         count += len(faces)
         if len(faces) > FACES or count > ALL_FACES:
             bound = f"{FACES} faces, or all have over {ALL_FACES}"

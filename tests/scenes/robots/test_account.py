@@ -427,6 +427,22 @@ def test_an_inertia_that_no_body_has_is_balanced_and_said(tmp_path):
     assert said.startswith("inertia of <link base>, and others: no body has it, as A + B < C")
 
 
+def test_products_of_inertia_that_no_body_has_are_left_out_and_said(tmp_path):
+    found = re.search(r'<inertia ixx="([\d.]+)"[^>]*/>', URDF)
+    size = found[1]
+    rest = f'iyy="{size}" izz="{size}" ixy="{size}" ixz="{size}" iyz="{size}"'
+    (tmp_path / "robot.xml").write_text(URDF.replace(found[0], f'<inertia ixx="{size}" {rest}/>'))
+    folder = read_folder(tmp_path, URDF_YAML)
+    spec_of(folder)
+    (said,) = folder.account.sentences()
+    assert said.startswith("ixy, ixz and iyz of <link base>: no body has them")
+    (tmp_path / "robot.xml").write_text(
+        URDF.replace(found[0], '<inertia ixx="-1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>')
+    )
+    with pytest.raises(RobotError, match="positive eigenvalues"):
+        spec_of(read_folder(tmp_path, URDF_YAML))
+
+
 STAND = """
 <mujoco>{option}
   <worldbody>{floor}

@@ -407,7 +407,8 @@ def damaged(folder, name, corners):
 @pytest.mark.parametrize(
     ("name", "corners", "why"),
     [
-        ("hull.dae", None, "only STL and OBJ are read"),
+        ("hull.ply", None, "only STL, OBJ and COLLADA are read"),
+        ("hull.dae", None, "it is not in the folder"),
         ("gone.stl", None, "it is not in the folder"),
         ("../out.stl", None, "it is not in the folder"),
         ("nan.stl", [[0, 0, 0], [1, 0, 0], [0, np.nan, 0]], "numbers that are not lengths"),
@@ -429,7 +430,7 @@ def test_looks_that_cannot_be_read_cost_a_note_and_no_robot(tmp_path, name, corn
 
 
 def test_a_run_says_what_of_its_robot_is_not_drawn(tmp_path):
-    written(tmp_path / "table", URDF.replace("VISUAL", SEEN.replace("hull.stl", "hull.dae")))
+    written(tmp_path / "table", URDF.replace("VISUAL", SEEN.replace("hull.stl", "hull.ply")))
     (tmp_path / "still").mkdir()
     (tmp_path / "still" / "policy.yaml").write_text(STILL)
     (tmp_path / "tables.yaml").write_text(SUITE.replace("trials: 2", "trials: 1"))
@@ -440,7 +441,7 @@ def test_a_run_says_what_of_its_robot_is_not_drawn(tmp_path):
             said.append(text)
 
     api.run(tmp_path / "tables.yaml", out=tmp_path / "run", workers=1, listener=Ear())
-    assert said[0].startswith("robot table: visual mesh 'hull.dae' is not drawn: only STL and OBJ")
+    assert said[0].startswith("robot table: visual mesh 'hull.ply' is not drawn: only STL, OBJ")
 
 
 # Logs.
