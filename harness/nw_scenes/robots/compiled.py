@@ -196,18 +196,22 @@ class CompiledRobot:
             return True
         if "positive eigenvalues" not in said:
             return False
-        # Slips: 0.001 for each of the six numbers of a hatch, 0.015 for 0.00015.
+        # Slips: 0.001 for each of the six numbers of a hatch, 0.015 for 0.00015; or -5e-20 for 0.
         products: dict[str, str] = {"ixy": "0", "ixz": "0", "iyz": "0"}
         links = [each for each in urdf.iter("link") if each.get("name") == name]
-        found = [inertia for link in links for inertia in link.iter("inertia")]
-        if all(each.attrib | products == each.attrib for each in found):
-            return False
-        for each in found:
-            each.attrib.update(products)
-        self.folder.account.loses(
-            f"ixy, ixz and iyz of <link {name}>: no body has them beside its ixx, iyy and izz", line
-        )
-        return True
+        for link in links:
+            for each in link.iter("inertia"):
+                if each.attrib | products != each.attrib:
+                    each.attrib.update(products)
+                    why = "ixy, ixz and iyz of <link {}>: no body has them beside its ixx, iyy, izz"
+                elif (ball := _ball(link)) != each.attrib:
+                    each.attrib.update(ball)
+                    why = "inertia of <link {}>, which is none: a ball 2 cm wide of its mass has it"
+                else:
+                    continue
+                self.folder.account.loses(why.format(name), line)
+                return True
+        return False
 
     def _read_urdf(self, urdf: Element) -> Any:
         text = tostring(urdf, encoding="unicode")
@@ -630,3 +634,11 @@ def _mount(position: Array, R: Array, fovy: float, body: str) -> CameraMount:
 def _rows(R: Array) -> tuple[Vector3, Vector3, Vector3]:
     one, two, three = ((a, b, c) for a, b, c in R.tolist())
     return one, two, three
+
+
+def _ball(link: Element) -> dict[str, str]:
+    """Return the inertia of a ball of a link's mass whose radius is 1 cm: 2/5 m r^2."""
+    mass = next((float(each.get("value", "0")) for each in link.iter("mass")), 0.0)
+    size = f"{max(0.4 * mass * 0.01**2, 1e-9):.9g}"
+    axes: dict[str, str] = dict.fromkeys(("ixx", "iyy", "izz"), size)
+    return {**axes, "ixy": "0", "ixz": "0", "iyz": "0"}

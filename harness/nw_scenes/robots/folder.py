@@ -652,7 +652,7 @@ class _Reader:
         message = "" if suffix in {*_READ, SUFFIX} else "only STL, OBJ and COLLADA are read"
         if not message:
             content = self._content(path)
-            faces = len(triangles(content, suffix.replace(SUFFIX, ".stl"))[1])
+            faces = _count_of(content, suffix.replace(SUFFIX, ".stl"))
             total = sum(map(len, self.meshes.values())) + len(content)
             if faces <= FACES and total <= MESHES_BYTES and len(self.meshes) < MESHES:
                 return content
@@ -781,6 +781,20 @@ def fill_meshes(model: Element, folder: RobotFolder) -> None:
             raise folder.fault(f"mesh {name!r} has over {bound}", _THINNER, line)
         mesh.set("vertex", " ".join(f"{value:.9g}" for value in vertices.ravel().tolist()))
         mesh.set("face", " ".join(map(str, faces.ravel().tolist())))
+
+
+_counts: dict[tuple[bytes, str], int] = {}
+"""Faces of meshes by their digests: a draft reads a folder several times, and a parser is slow."""
+
+
+def _count_of(content: bytes, suffix: str) -> int:
+    """Return how many faces a mesh has; raises as `triangles`."""
+    key = (hashlib.sha256(content).digest(), suffix)
+    if key not in _counts:
+        if len(_counts) >= 10 * MESHES:
+            _counts.clear()
+        _counts[key] = len(triangles(content, suffix)[1])
+    return _counts[key]
 
 
 def triangles(content: bytes, suffix: str) -> tuple[Array, npt.NDArray[np.int64]]:
