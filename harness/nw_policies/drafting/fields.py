@@ -66,9 +66,8 @@ _PASSED_OVER: Mapping[str, Mapping[str, str]] = {
             actuator_value_resolution_debug_print|sites|lights|materials|textures|cameras|
             sort_actuators)
         """,
-        "motors of the evaluation have no limit of speed": r"""
-            .*actuators\.\w+\.(velocity_limit(_sim)?|effort_limit_sim|saturation_effort|
-            transmission_type|viscous_friction)
+        "limits of speed count in a torque-speed curve alone": r"""
+            .*actuators\.\w+\.(velocity_limit(_sim)?|effort_limit_sim|transmission_type)
         """,
         "a critic's or another network's": r"observations\.(?!policy|actor)\w+",
         "a card's terms are one row, told apart by their functions": r"""
