@@ -59,7 +59,7 @@ _MAY_BE_ZERO = frozenset({"armature", "friction_loss", "viscous_friction"})
 _ORDER = (
     "deploy", "io_descriptors", "legged_rl_deploy", "legged_ros2", "rl_sar", "gym", "muwanx",
     "booster", "limx", "checkpoint",
-    "env", "agent",
+    "env", "gym_training", "agent",
 )  # fmt: skip
 """Which kind of file is believed before others."""
 

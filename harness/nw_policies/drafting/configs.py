@@ -29,6 +29,7 @@ from nw_policies.drafting.fields import (
     numbers_of,
     per_second,
 )
+from nw_policies.drafting.gym_training import is_gym_training, read_gym_training
 from nw_policies.drafting.layouts import LEG_BY_LEG, RIGHT_FIRST, TYPE_BY_TYPE
 from nw_policies.drafting.makers import is_booster, is_limx, read_booster, read_limx
 from nw_policies.drafting.motors import motor_groups
@@ -74,6 +75,8 @@ def _reader_of_training(data: Data) -> tuple[str, Reader | None]:
         return "env", _environment
     if {"sim", "decimation", "robot", "observation_space"} <= set(data):
         return "env", _direct_environment
+    if is_gym_training(data):
+        return "gym_training", read_gym_training
     return ("agent", _agent) if _activation(data) else ("", None)
 
 

@@ -87,6 +87,12 @@ _PASSED_OVER: Mapping[str, Mapping[str, str]] = {
         "in the tensors": r".*(state|observation|amp_state)_preprocessor\w*(\..*)?|.*normaliz\w+",
         "it steers the training": r"(.*\.)?(normalize_advantage\w*|.*value_preprocessor\w*)",
     },
+    "gym_training": {
+        "it steers the training, or is drawn": r"""
+            (Cfg\.)?(?!Cfg\.|control|normalization\.clip_|init_state\.default|sim\.dt)\w+(\..*)?|
+            (Cfg\.)?(sim|init_state|domain_rand|normalization)\.\w+(\..*)?
+        """,
+    },
     "legged_rl_deploy": {
         "it moves the robot before and after the policy": r"(?!policy\.).*",
         "it is a name": r"policy\.(name|model_type|onnx\w*|commands\.\w+\.(name|type))",

@@ -6,18 +6,16 @@ a note: limits that depend on the angle, a strength or a delay that is drawn for
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from nw_base.files.inside import bounded_bytes, what_is
+from nw_base.files.inside import what_is
 from nw_policies.cards.motors import MOST_STEPS
 from nw_policies.drafting.fields import Fields, numbers_of
 from nw_policies.drafting.notation import CHECK, flow, plain
 from nw_policies.drafting.patterns import Patterns
-from nw_policies.motor_network import LIMITS
 
 Group = Mapping[str, Any]
 """Keys of a card's group of motors, with their values."""
@@ -87,9 +85,13 @@ def _delay(group: Fields, physics_rate: float | None) -> tuple[int, list[str]]:
     most = group.number("max_delay") or 0.0
     least = group.number("min_delay") if "min_delay" in group else most
     least = min(least or 0.0, most)
-    middle = (least + most) / 2.0 * 200.0 / (physics_rate or 200.0)
     note = f"its motors were told {least:g} to {most:g} physics steps late: the card has the middle"
-    return min(round(middle), MOST_STEPS), [note] if most > least else []
+    return late_steps((least + most) / 2.0, physics_rate), [note] if most > least else []
+
+
+def late_steps(steps: float, physics_rate: float | None) -> int:
+    """Return a delay in a card's physics steps, of 200 Hz, for one in those of a training."""
+    return min(max(round(steps * 200.0 / (physics_rate or 200.0)), 0), MOST_STEPS)
 
 
 def _curves(group: Fields, patterns: Patterns) -> list[tuple[Sequence[str], dict[str, float]]]:
@@ -155,16 +157,11 @@ def motor_lines(groups: Sequence[Group], folder: Path, source: str) -> list[str]
     lines: list[str] = []
     absent: list[str] = []
     for group in groups:
-        keys, data = dict(group), b"-"
-        if "file" in keys:
-            path = folder / str(keys["file"])
-            data = bounded_bytes(path, LIMITS.file_bytes) if what_is(path) == "file" else b""
-            keys["sha256"] = hashlib.sha256(data).hexdigest()
-        if data:
-            lines.append(f"    - {flow(keys)}")
+        file = group.get("file")
+        if file is None or what_is(folder / str(file)) == "file":
+            lines.append(f"    - {flow(dict(group))}")
         else:
-            del keys["sha256"]
-            note = f"{keys['file']} is not in {plain(folder.name) or 'the folder'}: put it there"
+            note = f"{file} is not in {plain(folder.name) or 'the folder'}: put it there"
             absent += [f"  {CHECK} {note}, and take these two lines", "  # motors:"]
-            absent += [f"  #   - {flow(keys)}"]
+            absent += [f"  #   - {flow(dict(group))}"]
     return [*([f"  motors:{source}", *lines] if lines else []), *absent]
