@@ -52,6 +52,9 @@ def motor_groups(
         friction = group.get("friction")
         if friction and not any(key in group for key in _NEWTONS):
             notes[f"its joints have friction {friction}: see `friction_loss`"] = None
+        moving = group.get("dynamic_friction")
+        if moving is not None and moving != friction:
+            notes[f"its joints had friction {moving} when they moved: a card has one"] = None
         if group.numbers("motor_strength") not in ((), (1.0,), (1.0, 1.0)):
             notes["its motors had a strength that was drawn"] = None
     return tuple(found), tuple(notes)
