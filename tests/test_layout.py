@@ -152,7 +152,7 @@ MOST = {
         ("nw_eval", "nw_learn", "nw_sim"),
     ),
     "nw_policies": Figures(
-        24500,  # Reference motions, held joints, makers' files: readers, keys and terms, drafts.
+        25504,  # Motors as trained: their keys, networks and drafts; trainings of Isaac Gym.
         9,
         ("nw_eval", "nw_learn", "nw_sim"),
     ),
@@ -162,7 +162,7 @@ MOST = {
         ("nw_eval", "nw_learn", "nw_places", "nw_policies", "nw_sim", "nw_twin"),
     ),
     "nw_sim": Figures(
-        27190,  # Reference motions: the task track, their terms, their ghosts.
+        27800,  # Motors as trained: torques of each physics step.
         0,
         ("nw_eval", "nw_learn", "nw_twin"),
     ),
