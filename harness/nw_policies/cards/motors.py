@@ -99,6 +99,7 @@ class NetworkMotor(MotorGroup, Checkpoint):
     saturation_torque: Annotated[float, Field(gt=0.0, le=1e5)] | None = None
     """As of `dc`; null = no torque-speed curve."""
     no_load_speed: Annotated[float, Field(gt=0.0, le=1e4)] | None = None
+    """As of `dc`; given with `saturation_torque`."""
 
     @model_validator(mode="after")
     def _whole_curve(self) -> NetworkMotor:

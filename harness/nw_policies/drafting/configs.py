@@ -764,7 +764,7 @@ def _direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Expo
 
 
 def _friction(patterns: Patterns, groups: Sequence[Data]) -> tuple[float, ...]:
-    """Return the friction of joints where it is a torque, N m: in mjlab, and Isaac Lab from 2.2."""
+    """Return the friction of joints where it is a torque, N m: in mjlab, and with Isaac Sim 5."""
     newtons = [g for g in groups if {"dynamic_friction", "viscous_friction"} & set(g)]
     return patterns.motors(groups, "frictionloss", default=0.0) or patterns.motors(
         newtons, "friction", default=0.0

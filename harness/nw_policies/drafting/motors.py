@@ -23,8 +23,8 @@ _SERVOS = re.compile(r"Implicit|IdealPD|BuiltinPosition|XmlPosition", re.IGNOREC
 _KNOWN = re.compile("DCMotor|DelayedPDActuator|ActuatorNetMLP|ActuatorNetLSTM", re.IGNORECASE)
 """Classes of which a card has all but what is drawn for each episode."""
 _NEWTONS = ("dynamic_friction", "viscous_friction")
-"""Keys of Isaac Lab from 2.2 on, with Isaac Sim 5: `friction` is a torque there, N m. Before, it
-was a share of the force that the joint transmits."""
+"""Keys of Isaac Lab with Isaac Sim 5: `friction` is a torque there, N m. Before, it was a share of
+the force that the joint transmits."""
 _PUBLISHED = {"unitree_go1.pt": {"pos_scale": -1.0, "history": [0, 1, 2]}}
 """What networks of walk-these-ways' form take, where only their file is named."""
 

@@ -66,6 +66,7 @@ class World(Body):
         monitored: names of the parts whose contact is a collision.
         control_period: seconds of one control step.
         control_rate: control steps in a second, Hz.
+        drives: groups of motors that are more than servos.
         props: numbers of the bodies of the scene's props in the model.
         steps: control steps since the reset.
         start_yaw: heading that the reset gave, rad.
@@ -107,6 +108,7 @@ class World(Body):
         )
         self.props = tuple(int(model.body(prop_body(prop.name)).id) for prop in scene.props)
         self._holds_pose = np.array(motors.follows) == "position"
+        self.drives = motors.drives
         self._driven = motors.driven
         self._motors = Motors(motors, timestep) if motors.drives else None
         self._substeps = substeps
@@ -304,6 +306,11 @@ class World(Body):
             contacts=numbers["contacts"] > 0.0,
             previous_contacts=numbers["previous_contacts"] > 0.0,
         )
+
+    @property
+    def motor_bytes(self) -> int:
+        """Bytes at the end of a `state` that are the motors'."""
+        return 0 if self._motors is None else self._motors.memory.nbytes
 
     def adopt(self, other: World) -> None:
         """Go on from where another world of the same robot stands, whatever its scene and loads."""
@@ -581,7 +588,7 @@ class World(Body):
         """
         forces = self._forces
         motors = {} if self._motors is None else {"motors": self._motors.memory}
-        return motors | {
+        return {
             "steps": np.array([self.steps], dtype=np.float64),
             "foot_forces": forces.feet,
             "monitored_forces": forces.monitored,
@@ -590,6 +597,7 @@ class World(Body):
             "start_yaw": np.array([self.start_yaw]),
             "contacts": forces.contacts.astype(np.float64),
             "previous_contacts": forces.previous_contacts.astype(np.float64),
+            **motors,
         }
 
     def _require_open(self) -> None:

@@ -91,7 +91,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
     shown = cache(lambda: opened(how))
     protocol = protocol_named(job.protocol)
     with ExitStack() as cleanup:
-        setup = setup.replaced(motors=driven(setup.motors, card, robot, bundle))
+        setup = setup.replaced(motors=driven(setup.motors, card, robot, library.motors(bundle)))
         world = cleanup.enter_context(_open_world(setup, scene, protocol, library.world))
         rules = TaskRules(
             protocol=protocol,

@@ -14,7 +14,7 @@ from nw_policies.cards import Card, load_card, motor_groups
 from nw_scenes.robots import get_robot
 from nw_sim.physics import Actuators
 from nw_sim.probe.recording import record
-from nw_sim.rollout.driven import driven
+from nw_sim.rollout.driven import driven, programs_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 GO1 = get_robot("go1")
@@ -118,7 +118,7 @@ def test_groups_become_drives_of_their_joints(tmp_path):
     card = write(tmp_path, motors)
     network(tmp_path / "motor.pt")
     bundle = load_bundle(card)
-    found = driven(Actuators.of(GO1), bundle.card, GO1, bundle)
+    found = driven(Actuators.of(GO1), bundle.card, GO1, programs_of(bundle))
     assert [drive.joints.tolist() for drive in found.drives] == [[0, 3, 6, 9], [2, 5, 8, 11]]
     assert found.drives[0].program.inputs["x"].shape == (4, 6)
     assert found.drives[1].program is None
