@@ -152,7 +152,7 @@ MOST = {
         ("nw_eval", "nw_learn", "nw_sim"),
     ),
     "nw_policies": Figures(
-        25060,  # HumanoidVerse's and FALCON's files; targets: keys and terms.
+        25870,  # Targets; HumanoidVerse; motors as trained: keys, networks, drafts; Isaac Gym.
         9,
         ("nw_eval", "nw_learn", "nw_sim"),
     ),
@@ -162,7 +162,7 @@ MOST = {
         ("nw_eval", "nw_learn", "nw_places", "nw_policies", "nw_sim", "nw_twin"),
     ),
     "nw_sim": Figures(
-        27760,  # What tasks ask for beside a velocity: targets of joints, a height.
+        28500,  # Targets of joints and heights; motors as trained; bags as logs.
         0,
         ("nw_eval", "nw_learn", "nw_twin"),
     ),

@@ -23,6 +23,7 @@ from nw_policies.cards.card import Card
 from nw_policies.cards.joints import held_places
 from nw_policies.cards.load import CARD_FILE, load_card
 from nw_policies.cards.model import CardModel
+from nw_policies.cards.motors import NetworkMotor
 from nw_policies.cards.networks import Checkpoint
 from nw_policies.cards.observations import PluginObservation
 from nw_policies.cards.wrappers import PluginWrap
@@ -93,6 +94,8 @@ class Bundle:
     """The files of the networks that feed the checkpoint, by name."""
     motion: Weights | None = None
     """The file of the motion that the policy tracks."""
+    motors: tuple[Weights, ...] = ()
+    """The files of its motors' networks, in the order of their groups."""
     network: str = ""
     """Which network of its card this is the bundle of; empty for the policy itself."""
     programs: Mapping[str, PlannedFile] = field(default_factory=dict)
@@ -145,10 +148,11 @@ class Bundle:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All files of weights, and of the motion."""
+        """All files of weights, of the motion and of motors."""
         own = () if self.checkpoint is None else (self.checkpoint,)
         motion = () if self.motion is None else (self.motion.path,)
-        return (*own, *(weights.path for weights in self.networks.values()), *motion)
+        motors = (weights.path for weights in self.motors)
+        return (*own, *(weights.path for weights in self.networks.values()), *motion, *motors)
 
     @property
     def checkpoint_digest(self) -> str:
@@ -222,6 +226,7 @@ class Bundle:
         parts += [self.code_sha256] if self.code_sha256 else []
         parts += [{"plugins": self.plugins}] if self.plugins else []
         parts += [] if self.motion is None else [{"motion": self.motion.sha256}]
+        parts += [{"motors": [each.sha256 for each in self.motors]}] if self.motors else []
         # Their order counts where a file takes its inputs in it. Other cards keep what they had.
         is_sorted = not self.networks
         if is_sorted and (orders := _orders(fields)):
@@ -251,6 +256,7 @@ class Bundle:
         # Not sorted: one input takes the observations in their order.
         parts = [fields, _computed(self), feeding, self.code_sha256]
         parts += [] if self.motion is None else [self.motion.sha256]
+        parts += [each.sha256 for each in self.motors]
         text = json.dumps([*parts, self.plugins] if self.plugins else parts)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -268,6 +274,9 @@ class Bundle:
         else:  # Its digest counts by itself, wherever the file lies.
             for key in ("file", "sha256", "source"):
                 del fields["reference"][key]
+        for group in fields["control"].get("motors", ()):  # As above.
+            for key in ("file", "sha256", "source"):
+                group.pop(key, None)
         if fields["runtime"] != "native" or self.operator:
             del fields["runtime"]  # As above; and whether nw-eval can run it follows from the rest.
         if self.card.adapter == "remote":
@@ -313,6 +322,10 @@ class Bundle:
     def read_motion(self) -> bytes:
         """Return the bytes of the motion, as `read_checkpoint`; none without a motion."""
         return b"" if self.motion is None else self._read(self.motion, "motion")
+
+    def read_motor(self, number: int) -> bytes:
+        """Return the bytes of one of `motors`, as `read_checkpoint`."""
+        return self._read(self.motors[number], "network of motors")
 
     def _read(self, file: Weights, what: str) -> bytes:
         data = _read(file.path, self.folder, what=what, is_own=what == "checkpoint")
@@ -389,6 +402,11 @@ def load_bundle(
         held = card.checkpoint is not None and card.reference.file == card.checkpoint.file
         # The checkpoint holds it: other weights have a motion of their own.
         motion = weights if held else _verified(card_path, card.reference, key="reference")
+    motors = tuple(
+        _verified(card_path, motor, key=f"control.motors.{number}")
+        for number, motor in enumerate(card.control.motors or ())
+        if isinstance(motor, NetworkMotor)
+    )
     known = "" if card.adapter == "remote" else code or NOTHING
     return Bundle(
         card=card,
@@ -398,12 +416,14 @@ def load_bundle(
         code_sha256=code,
         networks=networks,
         motion=motion,
+        motors=motors,
     )
 
 
 def _verified(card_path: Path, named: Checkpoint, *, key: str = "checkpoint") -> Weights:
     """Return the file that a key of the card names, with the digest that the card says."""
     what = "motion" if key == "reference" else "checkpoint"
+    what = "network of motors" if key.startswith("control.motors") else what
     path, is_own = _beside(card_path, named.file, what), key == "checkpoint"
     weights = _measured(path, card_path, named.source, what, is_own=is_own)
     if named.sha256 is not None and weights.sha256 != named.sha256:

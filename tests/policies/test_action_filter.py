@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from nw_base.errors import PolicyError
 from nw_policies import ActionFilter, load_bundle
@@ -68,6 +69,15 @@ def test_exponential_smoothing_is_its_formula():
     for action in actions:
         expected = 0.3 * action + 0.7 * expected
         np.testing.assert_allclose(smoother.push(action), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("weights", [[1.0], [0.5, 0.3, 0.2], [0.9, -0.1, 0.0, 0.2]])
+def test_a_fir_filter_is_the_weighted_sum_of_the_last_actions(weights):
+    smoother, _ = made({"kind": "fir", "weights": weights})
+    actions = np.random.default_rng(0).normal(size=(20, 12))
+    expected = lfilter(weights, 1.0, actions, axis=0)
+    found = [smoother.push(action).copy() for action in actions]
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
 
 
 def test_butterworth_is_the_recursion_over_earlier_actions_and_outputs():

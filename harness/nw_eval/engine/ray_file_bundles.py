@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 from nw_base.errors import StoreError, UsageError
 from nw_base.files.cache import atomic_path, cache_dir, private_dir
 from nw_base.files.inside import inside
+from nw_policies.cards.motors import NetworkMotor
 from nw_sim.catalogue import scene_files
 
 if TYPE_CHECKING:
@@ -135,7 +136,7 @@ class Outgoing:
 
 
 def _policy_files(bundle: Bundle, card_path: Path) -> dict[str, Path]:
-    """Return card, weights and motion by name; with Python code, all that lies below the folder.
+    """Return card and all files that it names; with Python code, all that lies below the folder.
 
     Code may read whatever lies beside it, and its digest is that of the whole folder.
     """
@@ -144,6 +145,8 @@ def _policy_files(bundle: Bundle, card_path: Path) -> dict[str, Path]:
     named = {} if bundle.card.checkpoint is None else {"": bundle.card.checkpoint.file}
     named |= {name: network.checkpoint.file for name, network in bundle.card.networks.items()}
     named |= {} if bundle.card.reference is None else {"reference": bundle.card.reference.file}
+    motors = [one for one in bundle.card.control.motors or () if isinstance(one, NetworkMotor)]
+    named |= {f"motors {number}": one.file for number, one in enumerate(motors)}
     files = [card_path.name, *(PurePosixPath(file).as_posix() for file in named.values())]
     # Where a checkpoint of the caller's replaces the card's, that one may be missing.
     return {name: path for name in files if (path := card_path.parent / name).is_file()}

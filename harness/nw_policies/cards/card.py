@@ -289,6 +289,12 @@ class Card(CardModel):
                 raise ValueError(f"{message}; add `clip` to `control`, or remove `clipped`")
 
     @property
+    def needs_executor(self) -> bool:
+        """Whether nw-eval runs networks of it: the policy's, or its motors'."""
+        motors = self.control.motors or ()
+        return self.is_planned or any(motor.kind == "network" for motor in motors)
+
+    @property
     def is_planned(self) -> bool:
         """Whether nw-eval runs its networks, if it has all of their operators."""
         is_file = is_built_in(self.adapter) and self.adapter not in {"zero", "remote"}

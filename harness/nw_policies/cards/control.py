@@ -1,12 +1,12 @@
 """Meaning of a policy's raw action, and the motors that it drives.
 
-Low-pass filters between a policy's actions and the motors are as stacks have them that train with
-one. Both kinds are one recursion over actions x, at the rate of the policy, and what was applied,
-y:
+Filters between a policy's actions and the motors are as stacks have them that train with one. All
+kinds are one recursion over actions x, at the rate of the policy, and what was applied, y:
 
     y[n] = b[0] x[n] + ... + b[N] x[n-N] - a[1] y[n-1] - ... - a[N] y[n-N]
 
-which is `ActionFilterExp` and `ActionFilterButter` of google-research's motion_imitation.
+which is `ActionFilterExp` and `ActionFilterButter` of google-research's motion_imitation. A FIR
+filter has no a.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from pydantic import (
 from nw_base.lens import Intrinsics, ShutterTime
 from nw_policies.cards.joints import ActionKind, Held, PerJoint
 from nw_policies.cards.model import CONTROL_RATE, CardModel, Limits, Rate
+from nw_policies.cards.motors import Motors
 
 Array = NDArray[np.float64]
 
@@ -64,7 +65,20 @@ class ButterworthFilter(CardModel):
         return b * (a.sum() / b.sum()), a
 
 
-LowPass = Annotated[ExponentialFilter | ButterworthFilter, Field(discriminator="kind")]
+class FirFilter(CardModel):
+    """Finite impulse response: y[n] = weights[0] x[n] + weights[1] x[n-1] + ..."""
+
+    kind: Literal["fir"]
+    weights: Annotated[list[float], Field(min_length=1, max_length=50)]
+    """Of the newest action first; a constant action is kept where their sum is 1."""
+
+    def coefficients(self, rate: float) -> tuple[Array, Array]:  # noqa: ARG002 - as the others.
+        """Return b and a, (N + 1,) each."""
+        b = np.array([*self.weights, 0.0])
+        return b, np.eye(1, len(b))[0]
+
+
+LowPass = Annotated[ExponentialFilter | ButterworthFilter | FirFilter, Field(discriminator="kind")]
 
 PHYSICS_RATE = 200
 """Physics steps per second of every protocol, unless a card says otherwise, Hz."""
@@ -121,6 +135,10 @@ class Control(CardModel):
     """kg m^2."""
     friction_loss: PerJoint | None = None
     """N m."""
+    viscous_friction: PerJoint | None = None
+    """Of the joints themselves, beside `kd`, N m s/rad; None = none."""
+    motors: Motors | None = None
+    """Groups of motors that were more than servos in the training; null = all are servos."""
 
     @field_validator("physics_rate")
     @classmethod
@@ -151,11 +169,11 @@ class Control(CardModel):
         return low_pass
 
     @model_serializer(mode="wrap")
-    def _without_held(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what is not given, so that cards without it keep their digest."""
+    def _without_absent(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what came later and is not given: cards without it keep their digest."""
         fields: dict[str, Any] = dump(self)
-        new = {"held", "commanded"}
-        return {key: value for key, value in fields.items() if value is not None or key not in new}
+        later = {"held", "commanded", "viscous_friction", "motors"}
+        return {k: value for k, value in fields.items() if value is not None or k not in later}
 
     @property
     def has_torques(self) -> bool:

@@ -26,6 +26,7 @@ from nw_policies.cards.joints import (
     whole_list,
 )
 from nw_policies.cards.model import CONTROL_RATE
+from nw_policies.cards.motors import Motor, motor_places
 from nw_scenes.robots import RobotSpec
 from nw_scenes.robots.spec import Follow, remounted
 
@@ -168,8 +169,9 @@ def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float6
     """Return the motor values that a card overrides; None if it overrides nothing.
 
     Returns:
-        kp, kd, torque_limits, armature, friction_loss: (J,) each in the robot's joint order, the
-        keyword arguments of `sim.Actuators`. Motors of torques have no damping of their own.
+        kp, kd, torque_limits, armature, friction_loss, viscous_friction: (J,) each in the robot's
+        joint order, the keyword arguments of `sim.Actuators`. Motors of torques have no damping of
+        their own.
 
     Raises:
         PolicyError: a joint is unknown, a list has another length, a value is negative, or a gain
@@ -188,6 +190,7 @@ def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float6
         "torque_limits": (control.torque_limits, robot.torque_limits),
         "armature": (control.armature, robot.armature),
         "friction_loss": (control.friction_loss, robot.friction_loss),
+        "viscous_friction": (control.viscous_friction, (0.0,) * len(follows)),
     }
     robot_follows = robot.follows or ("position",) * len(follows)
     is_own = follows == robot_follows
@@ -224,6 +227,30 @@ def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float6
                 '{"*": joint_position_offset, "*_wheel": joint_velocity}',
             )
     return result
+
+
+def motor_groups(card: Card, robot: RobotSpec) -> list[tuple[Motor, NDArray[np.intp]]]:
+    """Return the groups of motors that are more than servos, and their joints.
+
+    Returns:
+        For each group its joints' positions, (N,), among the robot's.
+
+    Raises:
+        PolicyError: a name means no joint, a joint is in two groups, or a network is for joints
+            whose actions are no positions.
+    """
+    motors = card.control.motors or []
+    places = _named("motors", lambda: motor_places(motors, robot.joints))
+    follows = motors_follow(card, robot)
+    for number, (motor, own) in enumerate(zip(motors, places, strict=True)):
+        other = [robot.joints[place] for place in own if follows[place] != "position"]
+        if motor.kind == "network" and other:
+            raise PolicyError(
+                f"control.motors: the network of group {number} takes errors of position, and "
+                f"{short_name(other[0])} is told another thing",
+                fix="leave it out of the group's `joints`, or correct `action`",
+            )
+    return list(zip(motors, places, strict=True))
 
 
 def physics_steps(card: Card, protocol: EvaluationProtocol) -> tuple[float, int]:

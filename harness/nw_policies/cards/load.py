@@ -42,6 +42,7 @@ from nw_policies.cards.joints import (
     whole_list,
 )
 from nw_policies.cards.model import is_whole
+from nw_policies.cards.motors import motor_places
 from nw_policies.cards.networks import input_parts, listed_inputs, recurrent_fault
 from nw_policies.cards.observations import (
     DepthObservation,
@@ -203,7 +204,7 @@ def json_schema() -> dict[str, Any]:
 
 _NAME = re.compile(r"[A-Za-z_][\w-]{0,63}", re.ASCII)
 
-_NEVER_NEGATIVE = ("kp", "kd", "torque_limits", "armature", "friction_loss")
+_NEVER_NEGATIVE = ("kp", "kd", "torque_limits", "armature", "friction_loss", "viscous_friction")
 _PER_JOINT = ("scale", "default_pose", *_NEVER_NEGATIVE)
 
 
@@ -372,6 +373,7 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
             value = whole_list(value, named, [0.0] * len(joints)) if key != "scale" else value
             listed = key == "scale" and isinstance(value, list)
             faults += _value_problems(file, key, value, driven if listed else joints, driven)
+    faults.append(_motor_problem(card, file, own))
     if isinstance(held, dict) and not any(faults):
         faults += _range_problems(file, "held", held, joints, robot)
     if (pose := card.control.default_pose) is not None and not any(faults):
@@ -379,6 +381,16 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
         faults += _range_problems(file, "default_pose", pose, joints, robot)
     problems = [problem for problem in faults if problem is not None]
     return sorted(problems, key=lambda problem: (problem.line, problem.column))
+
+
+def _motor_problem(card: Card, file: YamlFile, joints: Sequence[str]) -> Problem | None:
+    """Return a problem for the first group of motors whose joints the robot does not have."""
+    motors = card.control.motors or []
+    for number in range(len(motors)):
+        place, some = ("control", "motors", number, "joints"), motors[: number + 1]
+        if fault := _fault(file, place, lambda groups=some: motor_places(groups, joints)):
+            return fault
+    return None
 
 
 def _reference_problems(card: Card, file: YamlFile, robot: RobotSpec) -> Iterator[Problem]:

@@ -52,11 +52,14 @@ _PER_JOINT = (
     "action_scale",
     "torque_limits",
     "armature",
+    "friction_loss",
+    "viscous_friction",
 )
+_MAY_BE_ZERO = frozenset({"armature", "friction_loss", "viscous_friction"})
 _ORDER = (
     "deploy", "io_descriptors", "legged_rl_deploy", "legged_ros2", "rl_sar", "gym", "muwanx",
     "booster", "limx", "humanoidverse_deploy", "checkpoint",
-    "env", "humanoidverse_train", "agent",
+    "env", "humanoidverse_train", "gym_training", "agent",
 )  # fmt: skip
 """Which kind of file is believed before others."""
 
@@ -349,7 +352,7 @@ def _doubt(name: str, values: Sequence[float], action: str, robot: RobotSpec) ->
         return "is not finite"
     if name == "default_joint_pos":
         return ""
-    if not any(values) and name != "armature" and (follows or name == "torque_limits"):
+    if not any(values) and name not in _MAY_BE_ZERO and (follows or name == "torque_limits"):
         return "is 0 for all joints"
     if min(values) < 0 and name != "action_scale":
         return f"is {min(values):g}, below 0"

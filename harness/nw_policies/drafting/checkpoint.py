@@ -139,6 +139,12 @@ class ExporterMetadata:
     """N m."""
     armature: tuple[float, ...] = ()
     """kg m^2."""
+    friction_loss: tuple[float, ...] = ()
+    """N m."""
+    viscous_friction: tuple[float, ...] = ()
+    """N m s/rad."""
+    motors: tuple[Mapping[str, Any], ...] = ()
+    """Groups of motors that were more than servos, by the keys of a card."""
     rate: float | None = None
     """Actions per second."""
     physics_rate: float | None = None

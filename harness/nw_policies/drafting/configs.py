@@ -27,11 +27,10 @@ from nw_policies.drafting.checkpoint import ExportedTerm, ExporterMetadata, Heig
 from nw_policies.drafting.fields import (
     Fields,
     limits_of,
-    number_of,
     numbers_of,
     per_second,
-    texts_of,
 )
+from nw_policies.drafting.gym_training import is_gym_training, read_gym_training
 from nw_policies.drafting.humanoidverse import (
     is_humanoidverse,
     read_deployment,
@@ -39,6 +38,8 @@ from nw_policies.drafting.humanoidverse import (
 )
 from nw_policies.drafting.layouts import LEG_BY_LEG, RIGHT_FIRST, TYPE_BY_TYPE
 from nw_policies.drafting.makers import is_booster, is_limx, read_booster, read_limx
+from nw_policies.drafting.motors import motor_groups
+from nw_policies.drafting.patterns import Patterns
 from nw_policies.drafting.tracking import MOTION_COMMAND
 from nw_scenes.robots import RobotSpec
 
@@ -86,6 +87,8 @@ def _reader_of_training(data: Data) -> tuple[str, Reader | None]:
         return "env", _environment
     if {"sim", "decimation", "robot", "observation_space"} <= set(data):
         return "env", _direct_environment
+    if is_gym_training(data):
+        return "gym_training", read_gym_training
     return ("agent", _agent) if _activation(data) else ("", None)
 
 
@@ -644,7 +647,7 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
             width = described.width if grid is None else grid.x[2] * grid.y[2]
             terms.append(replace(described, grid=grid, width=width))
     names, is_guess = _joint_order(action, robot)
-    patterns = _Patterns(names)
+    patterns = Patterns(names)
     # Isaac Lab names groups of motors; mjlab lists them.
     inner = asset.below("articulation")
     listed = (inner if "actuators" in inner else asset).get("actuators")
@@ -653,6 +656,7 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
     ]
     simulation = data.below("sim")
     step = simulation.number("dt") or simulation.below("mujoco").number("timestep")
+    motors, motor_notes = motor_groups(groups_of_motors, patterns, physics_rate=per_second(step))
     every = data.number("decimation")
     state = asset.below("init_state")
     own = (
@@ -667,6 +671,9 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
         default_joint_pos=(pose := patterns.values(state, "joint_pos")),
         torque_limits=patterns.motors(groups_of_motors, "effort_limit"),
         armature=patterns.motors(groups_of_motors, "armature"),
+        friction_loss=_friction(patterns, groups_of_motors),
+        viscous_friction=patterns.motors(groups_of_motors, "viscous_friction", default=0.0),
+        motors=motors,
         action=_action_kind(kind, own),
         action_scale=patterns.values(action, "scale"),
         action_clip=_one_of(action.below("clip")),
@@ -678,7 +685,7 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
         bodies=motion.texts("body_names"),
         motion_file=str(motion.get("motion_file") or ""),
         guessed_order=is_guess and known,
-        notes=(*_action_notes(kind, own, pose), *notes, *_motor_notes(groups_of_motors)),
+        notes=(*_action_notes(kind, own, pose), *notes, *motor_notes),
     )
 
 
@@ -742,16 +749,20 @@ def _direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Expo
     """
     asset = data.below("robot")
     names, is_guess = _joint_order(Fields({"class_type": "isaaclab"}), robot)
-    patterns = _Patterns(names)
-    motors = [_dict(motor) for motor in asset.below("actuators").values()]
+    patterns = Patterns(names)
+    groups = [_dict(motor) for motor in asset.below("actuators").values()]
     step, every = data.below("sim").number("dt"), data.number("decimation")
+    motors, motor_notes = motor_groups(groups, patterns, physics_rate=per_second(step))
     return ExporterMetadata(
         joint_names=names,
-        joint_stiffness=patterns.motors(motors, "stiffness"),
-        joint_damping=patterns.motors(motors, "damping"),
+        joint_stiffness=patterns.motors(groups, "stiffness"),
+        joint_damping=patterns.motors(groups, "damping"),
         default_joint_pos=patterns.values(asset.below("init_state"), "joint_pos"),
-        torque_limits=patterns.motors(motors, "effort_limit"),
-        armature=patterns.motors(motors, "armature"),
+        torque_limits=patterns.motors(groups, "effort_limit"),
+        armature=patterns.motors(groups, "armature"),
+        friction_loss=_friction(patterns, groups),
+        viscous_friction=patterns.motors(groups, "viscous_friction", default=0.0),
+        motors=motors,
         action="joint_position_offset",
         action_scale=data.numbers("action_scale"),
         rate=per_second(step * every if step and every else None),
@@ -759,31 +770,17 @@ def _direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Expo
         guessed_order=is_guess,
         notes=(
             "the environment computes what the policy sees in its own code",
-            *_motor_notes(motors),
+            *motor_notes,
         ),
     )
 
 
-_SERVOS = re.compile(r"Implicit|IdealPD|BuiltinPosition|XmlPosition", re.IGNORECASE)
-
-
-def _motor_notes(groups: Sequence[Data]) -> tuple[str, ...]:
-    """Return what motors of a training did beyond a servo with a limit: the card's do not."""
-    notes: dict[str, None] = {}
-    for group in groups:
-        kind = re.split(r"[.:]", str(group.get("class_type") or ""))[-1].removesuffix("Cfg")
-        low, high = group.number("min_delay") or 0, group.number("max_delay") or 0
-        friction = group.get("friction")
-        for what, is_so in (
-            (f"its motors are of the kind {kind}: the card's are servos with a limit of torque",
-             kind and not _SERVOS.search(kind)),
-            (f"its motors were told {low:g} to {high:g} physics steps late", high),
-            ("a network was its motors' model, which is not run", group.get("network_file")),
-            (f"its joints have friction {friction}: see `friction_loss`", friction),
-        ):  # fmt: skip
-            if is_so:
-                notes[what] = None
-    return tuple(notes)
+def _friction(patterns: Patterns, groups: Sequence[Data]) -> tuple[float, ...]:
+    """Return the friction of joints where it is a torque, N m: in mjlab, and with Isaac Sim 5."""
+    newtons = [g for g in groups if {"dynamic_friction", "viscous_friction"} & set(g)]
+    return patterns.motors(groups, "frictionloss", default=0.0) or patterns.motors(
+        newtons, "friction", default=0.0
+    )
 
 
 def _one_of(limits: Data) -> tuple[float, float] | None:
@@ -804,61 +801,6 @@ def _joint_order(action: Data, robot: RobotSpec) -> tuple[tuple[str, ...], bool]
     is_lab = "isaaclab" in str(action.get("class_type"))
     known = is_lab and sorted(own) == sorted(TYPE_BY_TYPE)
     return (TYPE_BY_TYPE if known else tuple(own)), True
-
-
-class _Patterns:
-    """Values by regular expressions that a joint's name must match in full.
-
-    Args:
-        names: short names of the joints, in the order of what is returned.
-    """
-
-    def __init__(self, names: Sequence[str]) -> None:
-        self._names = names
-
-    def values(self, data: Data, key: str) -> tuple[float, ...]:
-        """Return one number for all joints or one each; empty where some are not said."""
-        value = data.get(key)
-        if isinstance(value, Fields):
-            by_joint = [self._of(name, value) for name in self._names]
-            values = () if None in by_joint else tuple(cast("list[float]", by_joint))
-        else:
-            values = numbers_of(value)
-        data.doubt(key, value, readable=bool(values))
-        return values
-
-    def motors(self, groups: Sequence[Data], key: str) -> tuple[float, ...]:
-        """Return the values of groups of motors."""
-        motors: dict[str, float] = {}
-        for group in groups:
-            listed = group.first("joint_names_expr", "target_names_expr")[1]
-            for name in self._names:
-                if any(_matches(pattern, name) for pattern in texts_of(listed)):
-                    value = group.get(key)
-                    own = self._of(name, value) if isinstance(value, Fields) else number_of(value)
-                    if own is not None:
-                        motors[name] = own
-        if complete := set(motors) == set(self._names):
-            return tuple(motors[name] for name in self._names)
-        for group in groups:
-            group.doubt(key, group.get(key), readable=complete)
-        return ()
-
-    @staticmethod
-    def _of(name: str, values: Data) -> float | None:
-        matched = next((pattern for pattern in values if _matches(pattern, name)), "")
-        return values.number(matched)
-
-
-def _matches(pattern: str, name: str) -> bool:
-    """Whether a pattern of at most 100 characters means a joint, with `_joint` or without."""
-    # Brackets, dots, stars and words are all that such patterns have; others could take long.
-    if len(pattern) > 100 or pattern.count("*") + pattern.count("+") > 3:
-        return False
-    try:
-        return any(re.fullmatch(pattern, whole) for whole in (f"{name}_joint", name))
-    except re.error:
-        return False
 
 
 def _agent(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:

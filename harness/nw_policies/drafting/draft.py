@@ -37,6 +37,7 @@ from nw_policies.drafting.inputs import (
 from nw_policies.drafting.layouts import Frame, is_scan
 from nw_policies.drafting.leapp import pipeline_of
 from nw_policies.drafting.leapp_card import PipelineDraft, with_pipeline
+from nw_policies.drafting.motors import motor_lines
 from nw_policies.drafting.notation import (
     CHECK,
     in_brackets,
@@ -161,6 +162,7 @@ def write_card_draft(
             whole if of_all else robot,
             frame,
             clip=network.clip if network else None,
+            folder=folder or facts.path.parent,
         ),
         *held_lines(part, whole, said),
         *commanded_lines(said),
@@ -437,6 +439,7 @@ def control_lines(
     robot: RobotSpec,
     frame: Frame | None,
     clip: tuple[float, float] | None = None,
+    folder: Path | None = None,
 ) -> list[str]:
     """Return the lines of `control`.
 
@@ -445,6 +448,7 @@ def control_lines(
         robot: whose own values stand where it is unknown anything.
         frame: the layout of what the policy sees, if it is guessed: its training says the rest.
         clip: the limits of actions in the trainer's own inference.
+        folder: where networks of motors lie.
     """
     known = exporter or ExporterMetadata()
     theirs = published(frame, robot) if frame else {}
@@ -457,6 +461,7 @@ def control_lines(
         *_joints(known, robot, frame),
         *_pose_and_gains(known, robot, theirs, of),
         *_motor_limits(known, robot),
+        *motor_lines(known.motors, folder or Path(), _from(known, "motors")),
         f"  delay_steps: {late}  {CHECK} control steps between an action and its result",
     ]
 
@@ -538,13 +543,16 @@ def _motor_limits(known: ExporterMetadata, robot: RobotSpec) -> list[str]:
     for name, values, own, unit in (
         ("torque_limits", known.torque_limits, _by_joint(robot, robot.torque_limits), "N m"),
         ("armature", known.armature, _motors(robot, robot.armature), "kg m^2"),
-        ("friction_loss", (), _motors(robot, robot.friction_loss), "N m"),
+        ("friction_loss", known.friction_loss, _motors(robot, robot.friction_loss), "N m"),
     ):
         if values:
             lines.append(f"  {name}: {one_or_list(values)}{_from(known, name)}")
             continue
         note = f"{unit}; not in the file: the {robot.name}'s own is used"
         lines.append(f"  # {name}: {own}  {CHECK} {note}")
+    if values := known.viscous_friction:
+        source = _from(known, "viscous_friction")
+        lines.append(f"  viscous_friction: {one_or_list(values)}{source}")
     return lines
 
 

@@ -66,9 +66,8 @@ _PASSED_OVER: Mapping[str, Mapping[str, str]] = {
             actuator_value_resolution_debug_print|sites|lights|materials|textures|cameras|
             sort_actuators)
         """,
-        "motors of the evaluation have no limit of speed": r"""
-            .*actuators\.\w+\.(velocity_limit(_sim)?|effort_limit_sim|saturation_effort|
-            transmission_type|viscous_friction)
+        "limits of speed count in a torque-speed curve alone": r"""
+            .*actuators\.\w+\.(velocity_limit(_sim)?|effort_limit_sim|transmission_type)
         """,
         "a critic's or another network's": r"observations\.(?!policy|actor)\w+",
         "a card's terms are one row, told apart by their functions": r"""
@@ -87,6 +86,12 @@ _PASSED_OVER: Mapping[str, Mapping[str, str]] = {
         "a critic's": r"critic|models\.value|.*value\w*",
         "in the tensors": r".*(state|observation|amp_state)_preprocessor\w*(\..*)?|.*normaliz\w+",
         "it steers the training": r"(.*\.)?(normalize_advantage\w*|.*value_preprocessor\w*)",
+    },
+    "gym_training": {
+        "it steers the training, or is drawn": r"""
+            (Cfg\.)?(?!Cfg\.|control|normalization\.clip_|init_state\.default|sim\.dt)\w+(\..*)?|
+            (Cfg\.)?(sim|init_state|domain_rand|normalization)\.\w+(\..*)?
+        """,
     },
     "legged_rl_deploy": {
         "it moves the robot before and after the policy": r"(?!policy\.).*",

@@ -71,7 +71,8 @@ def known_of(known: ExporterMetadata | None, driven: Sequence[str]) -> ExporterM
         return known
     names, wanted = known.joint_names, tuple(map(short_name, driven))
     lists = ("joint_stiffness", "joint_damping", "default_joint_pos", "torque_limits", "armature")
-    of_all = {name: getattr(known, name) for name in (*lists, "action_scale")}
+    lists = (*lists, "friction_loss", "viscous_friction", "action_scale")
+    of_all = {name: getattr(known, name) for name in lists}
     part = {
         name: reordered(values, names, wanted)
         for name, values in of_all.items()

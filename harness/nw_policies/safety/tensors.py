@@ -42,7 +42,7 @@ _MARKS = r"\.format_version|\.storage_alignment|\.data/serialization_id"
 """What torch notes about an archive; not needed here."""
 _STATE_MEMBERS = re.compile(f"{_STATE}|{_MARKS}")
 """Members of a state dict."""
-_SCRIPT_MEMBERS = re.compile(
+SCRIPT_MEMBERS = re.compile(
     rf"{_STATE}|{_MARKS}|constants\.pkl|constants/[0-9]+|{_CODE}"
     rf"|{_CODE}\.debug_pkl|extra/.*|traced_inputs(\.pkl|/[0-9]+)"
 )
@@ -93,7 +93,7 @@ def tensor_facts(
     if kind in {"pickle", "msgpack"}:
         index = _own_numbers(kind, data, where, limits)
     else:
-        members = _SCRIPT_MEMBERS if kind == "torchscript" else _STATE_MEMBERS
+        members = SCRIPT_MEMBERS if kind == "torchscript" else _STATE_MEMBERS
         _, index = checked_tree(data, where, limits, members)
     return tuple(
         TensorFacts(name=name, shape=ref.shape, dtype=ref.storage.dtype)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from nw_base.protocol import EvaluationProtocol
     from nw_scenes.robots import RobotSpec
     from nw_scenes.robots.spec import Follow
+    from nw_sim.physics.motors import Drive
 
 
 Array = npt.NDArray[np.float64]
@@ -42,9 +43,20 @@ class Actuators:
     torque_limits: Array  # N m, symmetric
     armature: Array  # kg m^2
     friction_loss: Array  # N m
+    viscous_friction: Array | float = 0.0  # N m s / rad, of the joints beside kd
     strength: float = 1.0  # of gain and largest torque, the share that is left
     # What they are told, all of them or (J,) each; only positions have a kp.
     follow: Follow | tuple[Follow, ...] = "position"
+    # Groups of motors whose torque is computed at every physics step; others are MuJoCo's servos.
+    drives: tuple[Drive, ...] = ()
+
+    @property
+    def driven(self) -> npt.NDArray[np.bool_]:
+        """(J,) which of them are in one of `drives`."""
+        driven = np.zeros(len(self.kp), dtype=np.bool_)
+        for drive in self.drives:
+            driven[drive.joints] = True
+        return driven
 
     @property
     def follows(self) -> tuple[Follow, ...]:
@@ -90,7 +102,8 @@ def shared_model(
 
     Of each scene the newest is kept, as long as the scene is.
     """
-    figures = (getattr(actuators, field.name) for field in fields(actuators))
+    figures = [getattr(actuators, field.name) for field in fields(actuators)]
+    figures[-1] = actuators.driven  # All that the model has of the `drives`.
     wanted = (
         *(robot.mjcf, robot.joints, robot.root, robot.root_joint, robot.root_defaults),
         *(one.tobytes() if isinstance(one, np.ndarray) else one for one in figures),
@@ -142,7 +155,7 @@ def compile_model(
         raise UsageError(f"payload is {payload:g} kg", fix="give 0 kg or more")
     spec = mujoco.MjSpec.from_string(robot.mjcf)
     _set_options(spec, timestep)
-    if "velocity" in actuators.follows:
+    if "velocity" in np.array(actuators.follows)[~actuators.driven]:
         # Their gain acts on the velocity and is limited, so it is no damping of a joint: with the
         # Euler integrator a light wheel would swing up.
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -174,15 +187,20 @@ def _set_options(spec: MjSpec, timestep: float) -> None:
 def _set_joints(
     spec: MjSpec, robot: RobotSpec, actuators: Actuators, protocol: EvaluationProtocol
 ) -> None:
+    driven = actuators.driven
+    viscous = np.broadcast_to(actuators.viscous_friction, len(robot.joints))
     for index, name in enumerate(robot.joints):
         joint = spec.joint(name)
         follow = actuators.follows[index]
-        joint.damping[0] = 0.0 if follow == "velocity" else actuators.kd[index]
+        is_damped = follow != "velocity" and not driven[index]
+        joint.damping[0] = (actuators.kd[index] if is_damped else 0.0) + viscous[index]
         joint.armature = actuators.armature[index]
         joint.frictionloss = actuators.friction_loss[index]
         servo = spec.actuator(name)
         gains = {"position": actuators.kp[index], "velocity": actuators.kd[index], "torque": 1.0}
         gain = actuators.strength * gains[follow]
+        if driven[index]:  # It is told its torque.
+            follow, gain = "torque", 1.0
         servo.gainprm[0] = gain
         servo.biasprm[1] = -gain if follow == "position" else 0.0
         servo.biasprm[2] = -gain if follow == "velocity" else 0.0

@@ -20,6 +20,8 @@ from nw_sim.physics.binding import MjData, MjModel, mujoco
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from nw_sim.physics.model import Actuators
+
 
 _MAGIC = b"NWS1"
 _FINGERPRINT_SIZE = 8
@@ -27,8 +29,8 @@ _SIGNATURE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _FLOAT = np.dtype("<f8")
 
 
-def fingerprint(model: MjModel) -> bytes:
-    """Return 8 bytes that tell models apart whose futures differ: geometry, masses, servos."""
+def fingerprint(model: MjModel, actuators: Actuators) -> bytes:
+    """Return 8 bytes that tell worlds apart whose futures differ: geometry, masses, motors."""
     option = model.opt
     parts = (
         np.array([option.timestep, *option.gravity, option.iterations, model.ngeom, model.nbody]),
@@ -47,6 +49,11 @@ def fingerprint(model: MjModel) -> bytes:
     digest = hashlib.sha256()
     for part in parts:
         digest.update(np.ascontiguousarray(part).tobytes())
+    for drive in actuators.drives:  # The model has nothing of their gains.
+        digest.update(drive.motor.model_dump_json().encode() + drive.joints.tobytes())
+        digest.update(b"" if drive.program is None else drive.program.packed())
+        digest.update(actuators.kp.tobytes() + actuators.kd.tobytes())
+        digest.update(repr((actuators.follows, actuators.strength)).encode())
     return digest.digest()[:_FINGERPRINT_SIZE]
 
 

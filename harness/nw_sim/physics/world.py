@@ -24,6 +24,7 @@ from nw_sim.physics.forces import (
 )
 from nw_sim.physics.looks import Looks, RobotRays
 from nw_sim.physics.model import Actuators, shared_model
+from nw_sim.physics.motors import Motors
 from nw_sim.physics.state import check, fingerprint, keep_warnings_out_of_files, pack, unpack
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ class World(Body):
         robot: which robot.
         scene: where; its `ground` and `solids` collide.
         protocol: which of its behaviours are the published ones.
-        actuators: servo figures, the robot's own if None.
+        actuators: figures of the motors, the robot's own if None.
         friction: tangential friction coefficient of the whole scene, or None for each solid's own.
         payload: extra mass on the back, kg.
         timestep: of the physics, s.
@@ -65,6 +66,7 @@ class World(Body):
         monitored: names of the parts whose contact is a collision.
         control_period: seconds of one control step.
         control_rate: control steps in a second, Hz.
+        drives: groups of motors that are more than servos.
         props: numbers of the bodies of the scene's props in the model.
         steps: control steps since the reset.
         start_yaw: heading that the reset gave, rad.
@@ -106,8 +108,11 @@ class World(Body):
         )
         self.props = tuple(int(model.body(prop_body(prop.name)).id) for prop in scene.props)
         self._holds_pose = np.array(motors.follows) == "position"
+        self.drives = motors.drives
+        self._driven = motors.driven
+        self._motors = Motors(motors, timestep) if motors.drives else None
         self._substeps = substeps
-        self._fingerprint = fingerprint(model)
+        self._fingerprint = fingerprint(model, motors)
         self._closed = False
         self._warned = self._data.warning.number  # A view, always of now.
         self._physics: PhysicsRate | None = None
@@ -169,7 +174,7 @@ class World(Body):
         data.qpos[self._place] = position
         data.qpos[self._turn] = (np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0))
         data.qpos[self._joints] = pose
-        data.ctrl[:] = np.where(self._holds_pose, pose, 0.0)
+        self._hold(np.array(pose))
         self.steps = 0
         self.start_yaw = yaw
         mujoco.mj_forward(self._model, data)
@@ -185,10 +190,18 @@ class World(Body):
         data.qpos[self._joints] = pose.joint_positions
         data.qvel[self._linear], data.qvel[self._angular] = pose.velocity, pose.rates
         data.qvel[self._joint_rates] = pose.joint_velocities
-        data.ctrl[:] = np.where(self._holds_pose, pose.joint_positions, 0.0)
+        self._hold(np.array(pose.joint_positions))
         mujoco.mj_forward(self._model, data)
         self._forces = self._read_forces(np.zeros(len(self.robot.feet), dtype=np.bool_))
         check(data, self.time)
+
+    def _hold(self, pose: Array) -> None:
+        """Tell the motors what counts before the first step."""
+        held = np.where(self._holds_pose, pose, 0.0)
+        # Nothing has driven the motors of groups yet, which are told torques.
+        self._data.ctrl[:] = np.where(self._driven, 0.0, held)
+        if self._motors is not None:
+            self._motors.reset(held)
 
     def push(self, velocity: Sequence[float] | Array) -> None:
         """Add a velocity to the trunk's, (2,) m/s in the world's x and y, before a step."""
@@ -230,10 +243,13 @@ class World(Body):
                 fix="check the policy's actions",
             )
         # Positions and velocities are already current here, so the first physics step skips them.
-        mujoco.mj_step2(model, data)
-        if (physics := self._physics) is None:
+        if self._motors is not None:
+            self._step_driven(self._motors)
+        elif (physics := self._physics) is None:
+            mujoco.mj_step2(model, data)
             mujoco.mj_step(model, data, self._substeps - 1)
         else:
+            mujoco.mj_step2(model, data)
             physics.take(0)
             for substep in range(1, self._substeps):
                 mujoco.mj_step(model, data)
@@ -247,6 +263,20 @@ class World(Body):
         self._forces = self._read_forces(self._forces.contacts, solved)
         if any(self._warned.tolist()):
             check(data, self.time)
+
+    def _step_driven(self, motors: Motors) -> None:
+        """Run the physics steps of a control step whose targets are in `ctrl`."""
+        model, data = self._model, self._data
+        targets = data.ctrl.copy()
+        for substep in range(self._substeps):
+            positions, velocities = data.qpos[self._joints], data.qvel[self._joint_rates]
+            motors.drive(targets, positions, velocities, data.ctrl)
+            if substep == 0:
+                mujoco.mj_step2(model, data)
+            else:
+                mujoco.mj_step(model, data)
+            if self._physics is not None:
+                self._physics.take(substep)
 
     def state(self) -> bytes:
         """Return everything that the future depends on, for `restore`."""
@@ -266,6 +296,8 @@ class World(Body):
         self._derive()
         self.steps = int(numbers["steps"][0])
         self.start_yaw = float(numbers["start_yaw"][0])
+        if self._motors is not None:
+            self._motors.memory[:] = numbers["motors"]
         self._forces = Forces(
             feet=numbers["foot_forces"],
             monitored=numbers["monitored_forces"],
@@ -274,6 +306,11 @@ class World(Body):
             contacts=numbers["contacts"] > 0.0,
             previous_contacts=numbers["previous_contacts"] > 0.0,
         )
+
+    @property
+    def motor_bytes(self) -> int:
+        """Bytes at the end of a `state` that are the motors'."""
+        return 0 if self._motors is None else self._motors.memory.nbytes
 
     def adopt(self, other: World) -> None:
         """Go on from where another world of the same robot stands, whatever its scene and loads."""
@@ -285,6 +322,15 @@ class World(Body):
             ours, theirs = getattr(data, name), getattr(there, name)
             both = min(len(ours), len(theirs))  # The robot's come first, then those of props.
             ours[:both] = theirs[:both]
+        held = np.where(self._holds_pose, data.qpos[self._joints], 0.0)
+        if (changed := self._driven != other._driven).any():  # Torques and targets are two things.
+            data.ctrl[changed] = np.where(self._driven, 0.0, held)[changed]
+        if (motors := self._motors) is not None:
+            theirs = None if other._motors is None else other._motors.memory
+            if theirs is not None and theirs.size == motors.memory.size:
+                motors.memory[:] = theirs
+            else:
+                motors.reset(held)
         self._derive()
         self.steps, self.start_yaw = other.steps, other.start_yaw
         self._forces = other._forces
@@ -541,6 +587,7 @@ class World(Body):
         Some are in memory of others: do not change them.
         """
         forces = self._forces
+        motors = {} if self._motors is None else {"motors": self._motors.memory}
         return {
             "steps": np.array([self.steps], dtype=np.float64),
             "foot_forces": forces.feet,
@@ -550,6 +597,7 @@ class World(Body):
             "start_yaw": np.array([self.start_yaw]),
             "contacts": forces.contacts.astype(np.float64),
             "previous_contacts": forces.previous_contacts.astype(np.float64),
+            **motors,
         }
 
     def _require_open(self) -> None:

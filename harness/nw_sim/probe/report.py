@@ -179,7 +179,9 @@ def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False)
         subject=bundle.where,
         rules=replace(
             running_rules(bundle, scenes=[scene], allow_code=allow_code, also=folders),
-            kernels=("networks", "rays") if is_computed(bundle) else ("rays",),
+            kernels=("networks", "rays")
+            if is_computed(bundle) or bundle.card.needs_executor
+            else ("rays",),
         ),
         time_limit=_TIME_LIMIT,
         renders=kernels_of(robot.reference, bundle.card, "ewa") if sees else (),

@@ -75,7 +75,7 @@ def kernels_of(robot: str, card: Card, *projections: Projection) -> tuple[Kernel
         card: of the policy that sees it.
         projections: of pinholes; none where nothing is drawn.
     """
-    own: tuple[Kernels, ...] = (*(("networks",) if card.is_planned else ()), "rays")
+    own: tuple[Kernels, ...] = (*(("networks",) if card.needs_executor else ()), "rays")
     if not projections:
         return own
     # Robots of folders are read by the simulator's compiler.

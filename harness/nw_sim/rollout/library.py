@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from nw_policies.cards import Card
     from nw_scenes.rays import RayScene
+    from nw_sim.rollout.driven import Programs
     from nw_sim.rollout.job import TrialJob
     from nw_sim.tasks.reference import Reference
 
@@ -101,6 +102,12 @@ class Library:
         from nw_sim.rollout.referenced import reference_of
 
         return None if bundle.motion is None else reference_of(bundle, world, card)
+
+    def motors(self, bundle: Bundle) -> Programs:
+        """Return what gives the networks of a bundle's motors."""
+        from nw_sim.rollout.driven import programs_of
+
+        return programs_of(bundle)
 
     def _make_rays(self, reference: str, collision: Collision) -> RayScene:
         from nw_scenes.rays import RayScene

@@ -22,6 +22,7 @@ from nw_scenes.robots import RobotSpec, get_robot
 from nw_sim.physics import World
 from nw_sim.rendering import SHOWN
 from nw_sim.rollout.asked_for import own_targets
+from nw_sim.rollout.driven import driven
 from nw_sim.rollout.episode import Episode
 from nw_sim.rollout.fault import extension_at_fault, policy_at_fault
 from nw_sim.rollout.job import StageClock
@@ -91,6 +92,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
     shown = cache(lambda: opened(how))
     protocol = protocol_named(job.protocol)
     with ExitStack() as cleanup:
+        setup = setup.replaced(motors=driven(setup.motors, card, robot, library.motors(bundle)))
         world = cleanup.enter_context(_open_world(setup, scene, protocol, library.world))
         rules = TaskRules(
             protocol=protocol,

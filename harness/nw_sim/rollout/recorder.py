@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from nw_gate.scores.score import STRETCH
 from nw_policies.cards.model import CONTROL_RATE
+from nw_sim.rollout.driven import packed_programs
 from nw_sim.rollout.episode import Observer
 from nw_sim.rollout.job import policy_fault
 from nw_sim.rollout.mcap.steps import Call, StepNote
@@ -105,6 +106,7 @@ class Recorder(Observer):
             },
             attachments=job.attachments,
             motion=b"" if placed is None else packed_motion(placed.motion),
+            motors=packed_programs(self._episode.world.drives),
             props=self._trial.scene.props,
             prop_bodies=self._episode.world.props,
         )

@@ -20,7 +20,13 @@ from numpy.typing import NDArray
 from nw_base.errors import NwEvalError, PolicyError, UsageError
 from nw_base.memory import Arrays, pack, read_only, unpack
 from nw_base.protocol import STRICT, EvaluationProtocol
-from nw_policies.cards import Card, JointControl, actuator_values, mounted_robot
+from nw_policies.cards import (
+    Card,
+    JointControl,
+    actuator_values,
+    motor_groups,
+    mounted_robot,
+)
 from nw_policies.cards.feeding import sized
 from nw_policies.cards.model import CONTROL_RATE
 from nw_policies.cards.observations import (
@@ -393,6 +399,7 @@ def check_card(
     try:
         JointControl.from_card(card, own)
         actuator_values(card, own)
+        motor_groups(card, own)
     except PolicyError as error:
         can_move = False
         problems.append(str(error))

@@ -112,7 +112,7 @@ def test_the_row_of_a_term_has_its_keys_and_words(term):
 
 def test_its_filters_are_filters(tmp_path):
     said = re.findall(r"^filter: (\{.*\}) +#", PAGE, re.MULTILINE)
-    assert len(said) == 2
+    assert len(said) == 3
     for line in said:
         (tmp_path / "policy.yaml").write_text(
             "nw-policy: 1\nname: c\nrobot: go1\nadapter: zero\ncontrol:\n"

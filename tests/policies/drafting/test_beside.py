@@ -275,9 +275,13 @@ def test_env_yaml_says_what_its_patterns_say_of_each_joint(card_of):
         (
             "armature: null",
             "armature: null\n        network_file: m.pt",
-            "a network was its motors",
+            "m.pt is not in",
         ),
-        ("armature: null", "armature: null\n        max_delay: 4", "0 to 4 physics steps late"),
+        (
+            "armature: null",
+            "armature: null\n        min_delay: 0\n        max_delay: 4",
+            "0 to 4 physics steps late",
+        ),
         ("armature: null", "armature: null\n        friction: 0.3", "friction 0.3"),
         (":DCMotor", ":IdealPDActuator", None),
         ("JointPositionAction", "JointPositionAction", None),

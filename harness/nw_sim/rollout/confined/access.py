@@ -144,7 +144,7 @@ def fence_in_server(bundle: Bundle, *, port: int) -> None:
 
 
 def _kernels(bundle: Bundle) -> tuple[Kernels, ...]:
-    return ("networks",) if bundle.card.is_planned else ()
+    return ("networks",) if bundle.card.needs_executor else ()
 
 
 def why_off(*, code: bool, render: Backend = "cpu", in_process: bool = False) -> str:

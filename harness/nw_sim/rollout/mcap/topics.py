@@ -11,6 +11,9 @@ from dataclasses import dataclass
 MOTION = "motion"
 """The attachment with the motion that is tracked: `nw_sim.rollout.referenced.unpacked_motion`."""
 
+MOTORS = "motors"
+"""The attachment with the networks of motors: `nw_sim.rollout.driven.packed_programs`."""
+
 ELEMENTS = "nw.elements"
 """The record of texts that names numbers: by topic, or topic and field, with commas between."""
 

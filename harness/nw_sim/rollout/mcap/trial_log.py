@@ -50,7 +50,7 @@ from nw_sim.rollout.mcap.messages import (
     stamp,
 )
 from nw_sim.rollout.mcap.steps import BodyForms, StepNote, Steps
-from nw_sim.rollout.mcap.topics import MOTION
+from nw_sim.rollout.mcap.topics import MOTION, MOTORS
 
 EventKind = Literal["start", "waypoint", "task", "contact", "coverage", "end", "error"]
 
@@ -146,6 +146,7 @@ class TrialLog:
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[tuple[str, str]],
         motion: bytes = b"",
+        motors: bytes = b"",
         props: Sequence[Prop] = (),
         prop_bodies: Sequence[int] = (),
     ) -> None:
@@ -165,6 +166,7 @@ class TrialLog:
             metadata: records of texts by name.
             attachments: name and text of each.
             motion: that is to be tracked, from `packed_motion`; empty = none.
+            motors: their networks, from `packed_programs`; empty = none.
             props: of the scene.
             prop_bodies: their numbers among those of the model.
         """
@@ -174,6 +176,8 @@ class TrialLog:
             self._out.attach(name, "text/plain", text.encode())
         if motion:
             self._out.attach(MOTION, "application/octet-stream", motion)
+        if motors:
+            self._out.attach(MOTORS, "application/octet-stream", motors)
         self._place = Discs(trail), CourseClouds(start, trail)
         parts = robot.bodies, robot.visuals
         scene = robot_update(*parts) + trail_update(start, trail) + props_update(props)

@@ -11,6 +11,7 @@ A log also says who drove its trial, and whether one policy took over from anoth
 
 from __future__ import annotations
 
+from base64 import b64decode, b64encode
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -25,11 +26,12 @@ from nw_policies import Bundle
 from nw_policies.bundle import NOTHING
 from nw_policies.cards import JointControl, motors_follow
 from nw_policies.cards.load import CARD_FILE, parse_card
+from nw_sim.rollout.driven import Programs, unpacked_programs
 from nw_sim.rollout.episode import Decision
 from nw_sim.rollout.job import StageClock, TrialResult
 from nw_sim.rollout.library import Library
 from nw_sim.rollout.mcap.messages import SimState, StatePart
-from nw_sim.rollout.mcap.topics import MOTION
+from nw_sim.rollout.mcap.topics import MOTION, MOTORS
 from nw_sim.rollout.opening import OpenTrial, open_trial
 from nw_sim.rollout.record import attachments
 from nw_sim.rollout.referenced import unpacked_motion
@@ -154,13 +156,17 @@ def _join(follower: Episode, leader: Episode) -> Any:
     parts = {part.name: part.data for part in own.parts}
     of_the_trial = (*_OF_THE_TRIAL, *leader.task.state())
     parts |= {part.name: part.data for part in there.parts if part.name in of_the_trial}
+    ends = [len(s.world) - e.world.motor_bytes for s, e in ((own, follower), (there, leader))]
     state = SimState(
         step=there.step,
-        world=own.world[:_WORLD_HEAD] + there.world[_WORLD_HEAD:],
+        world=own.world[:_WORLD_HEAD] + there.world[_WORLD_HEAD : ends[1]] + own.world[ends[0] :],
         policy=own.policy,
         parts=[StatePart(name=name, data=data) for name, data in parts.items()],
     )
     follower.restore(state)
+    if follower.world.drives or leader.world.drives:
+        follower.world.adopt(leader.world)
+        return follower.state()
     return state
 
 
@@ -184,6 +190,8 @@ class PolicySwitch:
     """Which the first one was, as `driver` says it."""
     card: str
     """The text of the first one's card."""
+    motors: str = ""
+    """The networks of the first one's motors, as the log has them, in base 64."""
 
 
 def driver(job: TrialJob) -> str:
@@ -222,14 +230,15 @@ def new_switch(recorded: LoggedTrial, step: int) -> PolicySwitch:
     earlier = switch_of(recorded)
     if earlier is None or earlier.step == 0:  # Then the first policy never acted.
         text = recorded.log.attachments().get(CARD_FILE, b"").decode(errors="replace")
-        return PolicySwitch(step=step, policy=driver(recorded.job), card=text)
+        motors = b64encode(recorded.log.attachments().get(MOTORS, b"")).decode()
+        return PolicySwitch(step=step, policy=driver(recorded.job), card=text, motors=motors)
     if step > earlier.step:
         raise UsageError(
             f"{recorded.path} was switched to another policy in control step {earlier.step} "
             "already",
             fix="give an earlier --from, or the log of the trial before",
         )
-    return PolicySwitch(step=step, policy=earlier.policy, card=earlier.card)
+    return replace(earlier, step=step)
 
 
 def _first_card(recorded: LoggedTrial) -> Card:
@@ -406,6 +415,10 @@ class _WithReplayPolicy(Library):
             return None
         data = self._logged.log.attachments().get(MOTION, b"")
         return unpacked_motion(data, world, card, str(self._logged.path))
+
+    def motors(self, bundle: Bundle) -> Programs:  # noqa: ARG002 - the log has its own.
+        switch = new_switch(self._logged, 0)
+        return unpacked_programs(b64decode(switch.motors), str(self._logged.path))
 
 
 def translator(first: Card, second: Card, robot: RobotSpec) -> Callable[[Array], Array] | None:

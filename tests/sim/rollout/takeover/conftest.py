@@ -54,6 +54,32 @@ def remembering(tmp_path_factory):
     return str(folder)
 
 
+NETWORKED = """\
+nw-policy: 1
+name: networked
+robot: go1
+adapter: zero
+control:
+  action: joint_position_offset
+  motors:
+    - {joints: [hip, thigh], kind: network, file: motor.pt, history: [0, 1]}
+    - {joints: calf, kind: dc, saturation_torque: 30, no_load_speed: 30, delay: 3}
+"""
+
+
+@pytest.fixture(scope="session")
+def networked(tmp_path_factory):
+    """Return the folder of a policy whose motors are a network, and others with a delay."""
+    folder = tmp_path_factory.mktemp("networked")
+    module = nn.Sequential(nn.Linear(4, 1)).eval()
+    with torch.no_grad():  # N m for errors, rad, and velocities, rad/s, of two steps.
+        module[0].weight[:] = torch.tensor([[30.0, 10.0, -0.4, -0.2]])
+        module[0].bias[:] = 0.0
+    torch.jit.script(module).save(str(folder / "motor.pt"))
+    (folder / "policy.yaml").write_text(NETWORKED)
+    return str(folder)
+
+
 @pytest.fixture(scope="session")
 def record(make_job, library, tmp_path_factory):
     """Return a function that runs a trial and returns its log and its result."""

@@ -8,7 +8,10 @@ from nw_base.trials import Trial
 from nw_eval import api
 from nw_eval.cli.verbs.replay import takeover_page
 from nw_policies import load_bundle
+from nw_scenes.robots import get_robot
 from nw_sim.catalogue import get_scene
+from nw_sim.physics import Actuators
+from nw_sim.rollout.driven import driven, packed_programs, unpacked_programs
 from nw_sim.rollout.job import TrialJob
 from nw_sim.rollout.mcap.reader import LogReader
 from nw_sim.rollout.record import attachments
@@ -99,6 +102,38 @@ def test_the_log_of_a_taken_over_trial_is_replayed_from_itself(
         UsageError, match="switched to another policy in control step 25 already; give an earlier"
     ):
         take_over(new, start=0.6, policy="go1-parkour", library=library)
+
+
+def test_motors_that_remember_are_where_they_were(record, library, networked, tmp_path):
+    path, result = record(networked, duration=0.6)
+    again = replay(path, start=0.3, library=library)
+    assert again.is_identical
+    new = tmp_path / "new.mcap"
+    taken = take_over(path, start=0.26, library=library, out=new)
+    assert bits(taken.result) == bits(result)
+    assert last_state(new) == last_state(path)
+
+
+def test_policies_of_other_motors_take_over_from_each_other(
+    walked, record, library, networked, tmp_path
+):
+    for path, policy in ((walked[0], networked), (record(networked)[0], "go1-parkour")):
+        new = tmp_path / f"{path.parent.name}.mcap"
+        first = take_over(path, start=0.5, policy=policy, library=library, out=new)
+        second = take_over(path, start=0.5, policy=policy, library=library)
+        assert bits(first.result) == bits(second.result)
+        assert not first.report.is_identical
+        # Its log has both networks: that of the policy which began, and its own.
+        assert replay(new, library=library).is_identical
+        assert replay(new, start=0.8, library=library).is_identical
+
+
+def test_a_log_without_the_networks_of_its_motors_is_refused(library, networked):
+    card = library.bundle(networked, None).card
+    robot = get_robot("go1")
+    for data in (b"", b"damaged", packed_programs(())):
+        with pytest.raises(StoreError, match=r"here.mcap: it holds no network of the motors"):
+            driven(Actuators.of(robot), card, robot, unpacked_programs(data, "here.mcap"))
 
 
 def test_taking_over_at_the_start_is_a_trial_of_ones_own(walked, make_job, library, remembering):
