@@ -20,10 +20,11 @@ from nw_base.files.yaml_file import YamlProblems, parse_yaml
 from nw_base.plural import plural
 from nw_policies.cards.joints import short_name
 from nw_policies.drafting.checkpoint import CheckpointFacts, ExporterMetadata
-from nw_policies.drafting.configs import reader_of, reordered
+from nw_policies.drafting.configs import reader_of
 from nw_policies.drafting.fields import Fields, account
 from nw_policies.drafting.leapp import pipeline_checkpoint
 from nw_policies.drafting.notation import plain
+from nw_policies.drafting.patterns import reordered
 from nw_policies.drafting.vectors import sized_terms
 from nw_policies.folding import newest_orbax
 from nw_scenes.robots import RobotSpec

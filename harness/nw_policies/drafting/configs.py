@@ -1,8 +1,7 @@
 """What the config files of exporters and trainings say of a policy, read as data.
 
     params/deploy.yaml          unitree_rl_lab, unitree_rl_mjlab
-    IO_descriptors.yaml         Isaac Lab
-    params/env.yaml, agent.yaml Isaac Lab, mjlab, rsl_rl, skrl, rl_games
+    env.yaml, agent.yaml, ...   trainings in Isaac Lab and mjlab (`environments`)
     config.yaml, base.yaml      rl_sar and quadruped_ros2_control; legged_rl_deploy
     *.yaml                      unitree_rl_gym's deploy configs, and those of its forks
     *.yaml                      controllers of legged_ros2
@@ -17,13 +16,25 @@ list. Lists for each joint are in the order of `joint_names`, whatever their ord
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
 from nw_policies.cards.joints import short_name
-from nw_policies.drafting.checkpoint import ExportedTerm, ExporterMetadata, HeightGrid
+from nw_policies.drafting.checkpoint import ExportedTerm, ExporterMetadata
+from nw_policies.drafting.environments import (
+    action_kind,
+    action_notes,
+    activation_of,
+    fields_of,
+    manager_term,
+    read_agent,
+    read_descriptors,
+    read_direct_environment,
+    read_environment,
+    scale_of,
+    speeds_of,
+)
 from nw_policies.drafting.fields import (
     Fields,
     limits_of,
@@ -36,11 +47,9 @@ from nw_policies.drafting.humanoidverse import (
     read_deployment,
     read_training,
 )
-from nw_policies.drafting.layouts import LEG_BY_LEG, RIGHT_FIRST, TYPE_BY_TYPE
+from nw_policies.drafting.layouts import LEG_BY_LEG, RIGHT_FIRST
 from nw_policies.drafting.makers import is_booster, is_limx, read_booster, read_limx
-from nw_policies.drafting.motors import motor_groups
-from nw_policies.drafting.patterns import Patterns
-from nw_policies.drafting.tracking import MOTION_COMMAND
+from nw_policies.drafting.patterns import reordered
 from nw_scenes.robots import RobotSpec
 
 Data = Fields
@@ -54,7 +63,7 @@ def reader_of(data: Data) -> tuple[str, Reader | None]:
     if isinstance(data.get("joint_ids_map"), list) and "step_dt" in data:
         return "deploy", _deploy
     if {"actions", "observations", "articulations"} <= set(data):
-        return "io_descriptors", _descriptors
+        return "io_descriptors", read_descriptors
     if isinstance(policy.get("joint_ids_map"), list) and "policy_dt" in policy:
         return "legged_rl_deploy", _legged_rl_deploy
     if any({"observations", "rl_kp"} <= set(words) for words in (inner, data)):
@@ -84,35 +93,12 @@ def _reader_of_makers(data: Data) -> tuple[str, Reader] | None:
 
 def _reader_of_training(data: Data) -> tuple[str, Reader | None]:
     if {"sim", "decimation", "observations", "actions"} <= set(data):
-        return "env", _environment
+        return "env", read_environment
     if {"sim", "decimation", "robot", "observation_space"} <= set(data):
-        return "env", _direct_environment
+        return "env", read_direct_environment
     if is_gym_training(data):
         return "gym_training", read_gym_training
-    return ("agent", _agent) if _activation(data) else ("", None)
-
-
-def _dict(value: Any) -> Fields:
-    return value if isinstance(value, Fields) else Fields()
-
-
-def _scale_of(data: Data, *keys: str) -> tuple[float, ...] | None:
-    """Return the factor of a term; 1 where nothing says it, None where it cannot be read."""
-    return (data.numbers(*keys) or None) if data.first(*keys)[1] is not None else (1.0,)
-
-
-def _speeds(commands: Any) -> dict[str, tuple[float, float]]:
-    """Return the ranges of a velocity command, wherever they stand below `commands`."""
-    for command in _dict(commands).values():
-        ranges = _dict(command).below("ranges")
-        speeds = {
-            key: limits
-            for key in ("lin_vel_x", "lin_vel_y", "ang_vel_z")
-            if len(limits := ranges.numbers(key)) == 2
-        }
-        if speeds:
-            return speeds
-    return {}
+    return ("agent", read_agent) if activation_of(data) else ("", None)
 
 
 def motor_names(robot: RobotSpec) -> tuple[str, ...]:
@@ -139,7 +125,7 @@ def _deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata
     motors = motor_names(robot)
     actions = data.below("actions")
     kind, action = next(iter(actions.items()), ("", {}))
-    action = _dict(action)
+    action = fields_of(action)
     described = data.below("observations")
     by_step = described.get("use_gym_history") is True
     offset = action.numbers("offset")
@@ -148,114 +134,19 @@ def _deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata
         joint_stiffness=reordered(data.numbers("stiffness"), motors, names),
         joint_damping=reordered(data.numbers("damping"), motors, names),
         default_joint_pos=data.numbers("default_joint_pos"),
-        action=_action_kind(kind, offset),
+        action=action_kind(kind, offset),
         action_scale=action.numbers("scale"),
         action_clip=action.limits("clip"),
         rate=data.per_second("step_dt"),
-        speeds=_speeds(data.get("commands")),
+        speeds=speeds_of(data.get("commands")),
         observation_terms=tuple(
-            _manager_term(name, _dict(term), by_step=by_step)
+            manager_term(name, fields_of(term), by_step=by_step)
             for name, term in described.items()
             if isinstance(term, dict)
         ),
         joint_count=len(data.numbers("joint_ids_map")),
-        notes=_action_notes(kind, offset, data.numbers("default_joint_pos")),
+        notes=action_notes(kind, offset, data.numbers("default_joint_pos")),
     )
-
-
-def _action_kind(kind: str, offset: Sequence[float]) -> str:
-    if re.search("effort|torque", kind, re.IGNORECASE):
-        return "joint_torque"
-    is_absolute = bool(offset) and not any(offset)
-    return "joint_position" if is_absolute else "joint_position_offset"
-
-
-def _action_notes(kind: str, offset: Sequence[float], pose: Sequence[float]) -> tuple[str, ...]:
-    """Return what of an action is none of a card's: targets of another kind, or from elsewhere."""
-    notes: list[str] = []
-    if kind != "None" and not re.search(
-        r"(^|[.:])joint_?pos(ition)?(_?action)?$|effort|torque", kind, re.IGNORECASE
-    ):
-        notes.append(f"its action is {kind}: the card takes it for positions of joints")
-    elif any(offset) and pose and {*offset} != {*pose}:
-        notes.append(f"its actions count from {list(offset)}, the card's from the default pose")
-    return tuple(notes)
-
-
-def _manager_term(
-    name: str,
-    term: Data,
-    *,
-    by_step: bool = False,
-    function: str = "",
-    steps: float | None = None,
-) -> ExportedTerm:
-    """Return a term of Isaac Lab's observation manager, or of one like it."""
-    scale = _scale_of(term, "scale")
-    limits = term.limits("clip")
-    steps = steps or term.number("history_length")
-    period = term.below("params").number("period")
-    flat = term.get("flatten_history_dim")
-    return ExportedTerm(
-        name=name,
-        function=function,
-        scale=scale,
-        clip=limits or (-math.inf, math.inf),
-        history=min(max(int(steps or 0), 1), 100),
-        flat_history=flat if isinstance(flat, bool) else None,
-        width=len(scale) if scale and len(scale) > 1 else None,
-        form=f"order: oldest_first, by: {'step' if by_step else 'term'}",
-        keys=f"frequency: {1 / period:g}" if period and "phase" in name else "",
-    )
-
-
-def _descriptors(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:
-    """Read what Isaac Lab exports with `export_io_descriptors`."""
-    actions = cast("list[Any]", data["actions"]) if isinstance(data["actions"], list) else []
-    action = _dict(actions[0] if actions else None)
-    names = action.texts("joint_names")
-    robot = _dict(next(iter(data.below("articulations").values()), {}))
-    theirs = robot.texts("joint_names")
-    scene = data.below("scene")
-
-    def per_joint(key: str) -> tuple[float, ...]:
-        values = robot.numbers(key)
-        return reordered(values, theirs, names) if any(values) else ()
-
-    groups = data.below("observations")
-    group = groups.get("policy", groups.get("actor", next(iter(groups.values()), [])))
-    terms = cast("list[Any]", group) if isinstance(group, list) else []
-    return ExporterMetadata(
-        joint_names=names,
-        joint_stiffness=per_joint("default_joint_stiffness"),
-        joint_damping=per_joint("default_joint_damping"),
-        default_joint_pos=per_joint("default_joint_pos"),
-        armature=per_joint("default_joint_armature"),
-        action=_action_kind(str(action.get("full_path")), action.numbers("offset")),
-        action_scale=action.numbers("scale"),
-        action_clip=action.limits("clip"),
-        rate=scene.per_second("dt"),
-        physics_rate=scene.per_second("physics_dt"),
-        observation_terms=tuple(_described_term(_dict(term)) for term in terms),
-        notes=(
-            *_action_notes(
-                str(action.get("full_path")),
-                action.numbers("offset"),
-                per_joint("default_joint_pos"),
-            ),
-            *(f"several terms make its action: {len(actions)}" for _ in actions[1:2]),
-        ),
-    )
-
-
-def _described_term(term: Data) -> ExportedTerm:
-    sizes = term.numbers("shape")
-    read = _manager_term(
-        str(term.get("name")),
-        term.below("overloads"),
-        function=str(term.get("full_path")).rpartition(".")[2],
-    )
-    return replace(read, width=int(math.prod(sizes)) if sizes else None)
 
 
 def _legged_rl_deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
@@ -263,7 +154,7 @@ def _legged_rl_deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Export
     policy = data.below("policy")
     names = _mapped(policy["joint_ids_map"], robot)
     kind, action = next(iter(policy.below("actions").items()), ("", {}))
-    action = _dict(action)
+    action = fields_of(action)
     described = policy.below("observations")
     stack = described.below("stack")
     steps = int(stack.number("length") or 1)
@@ -279,7 +170,7 @@ def _legged_rl_deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Export
     offset = action.numbers("offset")
 
     def term(name: str, words: Data) -> ExportedTerm:
-        scale = list(_scale_of(words, "scale") or ())
+        scale = list(scale_of(words, "scale") or ())
         bounds = [*words.numbers("min"), *words.numbers("max")]
         steps_of = words.texts("process_order")
         if "scale" in steps_of and steps_of[-1:] == ("clip",):
@@ -302,17 +193,17 @@ def _legged_rl_deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Export
         joint_stiffness=policy.numbers("stiffness"),
         joint_damping=policy.numbers("damping"),
         default_joint_pos=offset if any(offset) else (),
-        action=_action_kind(kind, offset),
+        action=action_kind(kind, offset),
         action_scale=action.numbers("scale"),
         action_clip=limits_of([*action.numbers("min"), *action.numbers("max")]) if first else None,
         rate=policy.per_second("policy_dt"),
         physics_rate=data.per_second("ll_dt"),
         speeds=dict(ranges) if len(low) == len(high) == 3 else {},
         observation_terms=tuple(
-            term(name, _dict(words)) for name, words in described.below("terms").items()
+            term(name, fields_of(words)) for name, words in described.below("terms").items()
         ),
         model=str(policy.get("model_path") or ""),
-        notes=_action_notes(kind, (), ()),
+        notes=action_notes(kind, (), ()),
         joint_count=len(policy.numbers("joint_ids_map")),
     )
 
@@ -333,8 +224,8 @@ def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMet
     order. quadruped_ros2_control writes the same without the name above it. Its controller's own
     file has the rate of the physics; its `stand_pos` is no pose of a training.
     """
-    name, value = next(((key, v) for key, v in data.items() if "rl_kp" in _dict(v)), ("", data))
-    config = _dict(value)
+    name, value = next(((key, v) for key, v in data.items() if "rl_kp" in fields_of(v)), ("", data))
+    config = fields_of(value)
     if name:
         named = name.split("/")[0]
         base = next((other.below(named) for other in others if named in other), Fields())
@@ -364,7 +255,7 @@ def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMet
     terms = [
         ExportedTerm(
             name=word,
-            scale=_scale_of(config, _SAR_SCALES.get(word, "")),
+            scale=scale_of(config, _SAR_SCALES.get(word, "")),
             clip=(-math.inf, math.inf),
             history=steps,
             form=form,
@@ -398,6 +289,8 @@ def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMet
 
 
 _GYM_TERMS = ("ang_vel", "projected_gravity", "commands", "dof_pos", "dof_vel", "actions")
+
+
 _OTHER_GYM_TERMS = ("commands", "projected_gravity", "ang_vel", "dof_pos", "dof_vel", "actions")
 """Of go2_deploy, which deploys what LeggedGym-Ex trains."""
 
@@ -410,15 +303,15 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
     is_other = "ctrl_kp" in data
     pose = data.numbers("default_angles", "stand_pos")
     joints = int(data.number("num_actions") or len(pose))
-    command = _scale_of(data, "cmd_scale", "command_scale")
+    command = scale_of(data, "cmd_scale", "command_scale")
     if data.first("cmd_scale", "command_scale")[1] is None and "lin_vel_scale" in data:
         lin, ang = data.number("lin_vel_scale"), data.number("ang_vel_scale")
         command = None if lin is None or ang is None else (lin, lin, ang)
     scales = {
-        "ang_vel": _scale_of(data, "ang_vel_scale", "obs_scales_ang_vel"),
+        "ang_vel": scale_of(data, "ang_vel_scale", "obs_scales_ang_vel"),
         "commands": command,
-        "dof_pos": _scale_of(data, "dof_pos_scale", "obs_scales_dof_pos"),
-        "dof_vel": _scale_of(data, "dof_vel_scale", "obs_scales_dof_vel"),
+        "dof_pos": scale_of(data, "dof_pos_scale", "obs_scales_dof_pos"),
+        "dof_vel": scale_of(data, "dof_vel_scale", "obs_scales_dof_vel"),
     }
     clip = data.number("clip_actions")
     steps = int(data.number("frame_stack", "history_length") or 1)
@@ -517,7 +410,7 @@ def _list_order(pose: Sequence[float], robot: RobotSpec) -> tuple[str, ...]:
 
 def _ros_nodes(data: Data) -> dict[str, Data]:
     """Return the parameters of each node of a file for ROS 2, by the node's name."""
-    return {name: _dict(node).below("ros__parameters") for name, node in data.items()}
+    return {name: fields_of(node).below("ros__parameters") for name, node in data.items()}
 
 
 def _legged_ros2(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:
@@ -525,7 +418,7 @@ def _legged_ros2(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetada
     nodes = _ros_nodes(data).values()
     config = next(node for node in nodes if "obs_cfg" in node and "action_cfg" in node)
     names = tuple(map(short_name, config.texts("joint_names")))
-    actions = {short_name(key): _dict(v) for key, v in config.below("action_cfg").items()}
+    actions = {short_name(key): fields_of(v) for key, v in config.below("action_cfg").items()}
 
     def per_joint(key: str) -> tuple[float, ...]:
         values = [actions.get(name, Fields()).number(key) for name in names]
@@ -541,7 +434,7 @@ def _legged_ros2(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetada
         action_scale=per_joint("scale"),
         rate=config.number("update_rate"),
         observation_terms=tuple(
-            _manager_term(name, described.below(name)) for name in config.texts("obs_names")
+            manager_term(name, described.below(name)) for name in config.texts("obs_names")
         ),
         joint_count=len(names),
     )
@@ -571,7 +464,7 @@ def _muwanx(data: Data, _: RobotSpec, others: Sequence[Data]) -> ExporterMetadat
     notes: list[str] = []
     for group, value in data.below("obs_config").items():
         listed = cast("list[Any]", value) if isinstance(value, list) else []
-        words = [_dict(term) for term in listed]
+        words = [fields_of(term) for term in listed]
         unknown = [str(w.get("name")) for w in words if w.get("name") not in _MUWANX_TERMS]
         if terms or unknown or not words:
             what = ", ".join(unknown) or "its terms"
@@ -606,240 +499,8 @@ def _muwanx_term(words: Data) -> ExportedTerm:
     is_absolute = words.get("subtract_default") is False
     return ExportedTerm(
         name=_MUWANX_TERMS[str(words["name"])],
-        scale=_scale_of(words, "scale"),
+        scale=scale_of(words, "scale"),
         clip=(-math.inf, math.inf),
         history=min(max(int(words.number("history_steps") or 1), 1), 100),
         function="joint_pos" if is_absolute else "",
     )
-
-
-def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
-    """Read the environment of a training in Isaac Lab, or in mjlab, where patterns name joints."""
-    scene = data.below("scene")
-    asset = _dict(scene.get("robot") or scene.below("entities").get("robot"))
-    action = next(
-        (_dict(term) for term in data.below("actions").values() if "scale" in _dict(term)),
-        Fields(),
-    )
-    groups = data.below("observations")
-    group = _dict(groups.get("policy", groups.get("actor", next(iter(groups.values()), {}))))
-    steps = group.number("history_length")
-    terms: list[ExportedTerm] = []
-    notes: list[str] = []
-    commands = data.below("commands")
-    motions = [name for name in commands if "anchor_body_name" in commands.below(name)]
-    motion = commands.below(motions[0]) if motions else Fields()
-    for name, words in group.items():
-        term = _dict(words)
-        if "func" in term:
-            function = re.split(r"[.:]", str(term["func"]))[-1]
-            asset_cfg = term.below("params").below("asset_cfg")
-            if asset_cfg.get("preserve_order") is True and "joint_names" in asset_cfg:
-                listed_joints = asset_cfg["joint_names"]
-                if listed_joints != action.get("joint_names"):
-                    notes.append(f"{name} lists joints in an order of its own: {listed_joints}")
-            command = str(term.below("params").get("command_name"))
-            if function == "generated_commands" and command in motions:
-                function = MOTION_COMMAND
-            described = _manager_term(name, term, function=function, steps=steps)
-            grid, other = _grid_of(scene, term.below("params"))
-            notes += [f"{name} has what a card's scan has not: {each}" for each in other]
-            width = described.width if grid is None else grid.x[2] * grid.y[2]
-            terms.append(replace(described, grid=grid, width=width))
-    names, is_guess = _joint_order(action, robot)
-    patterns = Patterns(names)
-    # Isaac Lab names groups of motors; mjlab lists them.
-    inner = asset.below("articulation")
-    listed = (inner if "actuators" in inner else asset).get("actuators")
-    groups_of_motors = [
-        _dict(motor) for motor in (listed if isinstance(listed, list) else _dict(listed).values())
-    ]
-    simulation = data.below("sim")
-    step = simulation.number("dt") or simulation.below("mujoco").number("timestep")
-    motors, motor_notes = motor_groups(groups_of_motors, patterns, physics_rate=per_second(step))
-    every = data.number("decimation")
-    state = asset.below("init_state")
-    own = (
-        () if action.get("use_default_offset") is not False else action.numbers("offset") or (0.0,)
-    )
-    kind = str(action.get("class_type"))
-    known = any(groups_of_motors) or "joint_pos" in state
-    return ExporterMetadata(
-        joint_names=names if known else (),
-        joint_stiffness=patterns.motors(groups_of_motors, "stiffness"),
-        joint_damping=patterns.motors(groups_of_motors, "damping"),
-        default_joint_pos=(pose := patterns.values(state, "joint_pos")),
-        torque_limits=patterns.motors(groups_of_motors, "effort_limit"),
-        armature=patterns.motors(groups_of_motors, "armature"),
-        friction_loss=_friction(patterns, groups_of_motors),
-        viscous_friction=patterns.motors(groups_of_motors, "viscous_friction", default=0.0),
-        motors=motors,
-        action=_action_kind(kind, own),
-        action_scale=patterns.values(action, "scale"),
-        action_clip=_one_of(action.below("clip")),
-        rate=per_second(step * every if step and every else None),
-        physics_rate=per_second(step),
-        speeds=_speeds(data.get("commands")),
-        observation_terms=tuple(terms),
-        anchor=str(motion.get("anchor_body_name") or ""),
-        bodies=motion.texts("body_names"),
-        motion_file=str(motion.get("motion_file") or ""),
-        guessed_order=is_guess and known,
-        notes=(*_action_notes(kind, own, pose), *notes, *motor_notes),
-    )
-
-
-_SCAN_REACH = 10.0
-"""m, of a grid from the root and of its offset: more is not a scan of the ground at a robot."""
-
-
-def _grid_of(scene: Data, params: Data) -> tuple[HeightGrid | None, list[str]]:
-    """Return the grid of a term's sensor, of Isaac Lab or of mjlab, and what a card's cannot be.
-
-    Points are those of `torch.arange(-size / 2, size / 2 + 1e-9, resolution)` on both axes. They
-    vary fastest along x where the pattern's `ordering` is `xy`, as it is by default.
-    """
-    name = params.below("sensor_cfg").get("name") or params.get("sensor_name")
-    sensors = cast("list[Any]", listed) if isinstance(listed := scene.get("sensors"), list) else []
-    sensor = next((found for found in map(_dict, sensors) if found.get("name") == name), None)
-    is_isaac = sensor is None
-    if sensor is None:
-        sensor = _dict(scene.get(str(name)))
-    pattern = sensor.below("pattern_cfg" if is_isaac else "pattern")
-    size, step = pattern.numbers("size"), pattern.number("resolution")
-    if len(size) != 2 or not step or min(size) < 0.0 or step < 0.0 or max(size) / step > 500:
-        return None, []
-    mounted = sensor.below("offset")
-    usual: list[tuple[str, Any, tuple[Any, ...]]] = [
-        ("rays that turn as", sensor.get("ray_alignment", True), ("yaw", True)),
-        ("attach_yaw_only", sensor.get("attach_yaw_only", True), (True,)),
-        ("ordering", pattern.get("ordering", "xy"), ("xy", "yx")),
-        ("direction", pattern.get("direction", [0, 0, -1]), ([0, 0, -1],)),
-        ("rot", mounted.get("rot", [1, 0, 0, 0]), ([1, 0, 0, 0],)),
-    ]
-    other = [f"{what} {value!r}" for what, value, known in usual if value not in known]
-    at, own = (
-        mounted.numbers("pos") if "pos" in mounted else (0.0, 0.0, 0.0),
-        params.number("offset"),
-    )
-    # `height_scan` of Isaac Lab takes off 0.5 m unless told otherwise; mjlab's nothing.
-    offset = (0.5 if is_isaac else 0.0) if own is None else own
-    if len(at) != 3 or max(*size, *map(abs, at[:2]), abs(offset)) > _SCAN_REACH:
-        return None, [*other, f"pos {list(at)}, size {list(size)}, offset {offset:g}"]
-    axes: list[tuple[float, float, int]] = []
-    for length, centre in zip(size, at, strict=False):
-        count = int(length / step + 1e-6) + 1
-        first = centre - length / 2
-        axes.append((round(first, 6), round(first + step * (count - 1), 6), count))
-    path = sensor.get("prim_path")
-    grid = HeightGrid(
-        x=axes[0],
-        y=axes[1],
-        order="y_fastest" if pattern.get("ordering") == "yx" else "x_fastest",
-        offset=-offset,
-        body=path.rpartition("/")[2] if isinstance(path, str) else "",
-    )
-    return grid, other
-
-
-def _direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
-    """Read an environment of Isaac Lab that computes its observations in code of its own.
-
-    The file says everything but what the policy sees.
-    """
-    asset = data.below("robot")
-    names, is_guess = _joint_order(Fields({"class_type": "isaaclab"}), robot)
-    patterns = Patterns(names)
-    groups = [_dict(motor) for motor in asset.below("actuators").values()]
-    step, every = data.below("sim").number("dt"), data.number("decimation")
-    motors, motor_notes = motor_groups(groups, patterns, physics_rate=per_second(step))
-    return ExporterMetadata(
-        joint_names=names,
-        joint_stiffness=patterns.motors(groups, "stiffness"),
-        joint_damping=patterns.motors(groups, "damping"),
-        default_joint_pos=patterns.values(asset.below("init_state"), "joint_pos"),
-        torque_limits=patterns.motors(groups, "effort_limit"),
-        armature=patterns.motors(groups, "armature"),
-        friction_loss=_friction(patterns, groups),
-        viscous_friction=patterns.motors(groups, "viscous_friction", default=0.0),
-        motors=motors,
-        action="joint_position_offset",
-        action_scale=data.numbers("action_scale"),
-        rate=per_second(step * every if step and every else None),
-        physics_rate=per_second(step),
-        guessed_order=is_guess,
-        notes=(
-            "the environment computes what the policy sees in its own code",
-            *motor_notes,
-        ),
-    )
-
-
-def _friction(patterns: Patterns, groups: Sequence[Data]) -> tuple[float, ...]:
-    """Return the friction of joints where it is a torque, N m: in mjlab, and with Isaac Sim 5."""
-    newtons = [g for g in groups if {"dynamic_friction", "viscous_friction"} & set(g)]
-    return patterns.motors(groups, "frictionloss", default=0.0) or patterns.motors(
-        newtons, "friction", default=0.0
-    )
-
-
-def _one_of(limits: Data) -> tuple[float, float] | None:
-    """Return the limits that all patterns have; None where they differ, as a card has one pair."""
-    ranges = {limits.limits(pattern) for pattern in limits}
-    if len(ranges) > 1:
-        for pattern, value in limits.items():
-            limits.doubt(pattern, value)
-    return ranges.pop() if len(ranges) == 1 else None
-
-
-def _joint_order(action: Data, robot: RobotSpec) -> tuple[tuple[str, ...], bool]:
-    """Return the joints of the action, and whether their order is a guess."""
-    own = [short_name(joint) for joint in robot.joints]
-    listed = [short_name(name) for name in action.texts("joint_names")]
-    if sorted(listed) == sorted(own) and action.get("preserve_order") is True:
-        return tuple(listed), False
-    is_lab = "isaaclab" in str(action.get("class_type"))
-    known = is_lab and sorted(own) == sorted(TYPE_BY_TYPE)
-    return (TYPE_BY_TYPE if known else tuple(own)), True
-
-
-def _agent(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:
-    """Read the trainer's own settings: rsl_rl, skrl or rl_games."""
-    policy, config = data.below("models").below("policy"), data.below("params").below("config")
-    policy.doubt("output", policy.get("output"), readable=policy.get("output") == "ACTIONS")
-    notes = ("params.config.clip_actions is false: rl_games clips no actions then",)
-    return ExporterMetadata(
-        activation=_activation(data),
-        action_clip=data.limits("clip_actions"),
-        notes=notes if config.get("clip_actions") is False else (),
-    )
-
-
-def _activation(data: Data) -> str:
-    for path in (
-        ("actor", "activation"),
-        ("policy", "activation"),
-        ("models", "policy", "network", "activations"),
-        ("params", "network", "mlp", "activation"),
-    ):
-        value: Any = data
-        for key in path:
-            if isinstance(value, list) and value:
-                value = cast("list[Any]", value)[0]
-            value = _dict(value).get(key)
-        if isinstance(value, list) and value:
-            value = cast("list[Any]", value)[0]
-        if isinstance(value, str):
-            return value.rpartition(".")[2].lower()
-    return ""
-
-
-def reordered(
-    values: Sequence[float], names: Sequence[str], wanted: Sequence[str]
-) -> tuple[float, ...]:
-    """Return values for joints in another order; empty where they are of other joints."""
-    by_name = dict(zip(map(short_name, names), values, strict=False))
-    if len(values) == 1 or list(names) == list(wanted):
-        return tuple(values)
-    own = [short_name(name) for name in wanted]
-    return tuple(by_name[name] for name in own) if set(own) <= set(by_name) else ()

@@ -1,4 +1,4 @@
-"""Values by regular expressions of joints, as Isaac Lab's configurations have them."""
+"""Values of joints: by regular expressions, as Isaac Lab has them, and in another order."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import cast
 
+from nw_policies.cards.joints import short_name
 from nw_policies.drafting.fields import Fields, number_of, numbers_of, texts_of
 
 
@@ -87,3 +88,14 @@ def _matches(pattern: str, name: str) -> bool:
         return any(re.fullmatch(pattern, whole) for whole in (f"{name}_joint", name))
     except re.error:
         return False
+
+
+def reordered(
+    values: Sequence[float], names: Sequence[str], wanted: Sequence[str]
+) -> tuple[float, ...]:
+    """Return values for joints in another order; empty where they are of other joints."""
+    by_name = dict(zip(map(short_name, names), values, strict=False))
+    if len(values) == 1 or list(names) == list(wanted):
+        return tuple(values)
+    own = [short_name(name) for name in wanted]
+    return tuple(by_name[name] for name in own) if set(own) <= set(by_name) else ()

@@ -12,8 +12,8 @@ from dataclasses import fields, replace
 
 from nw_policies.cards.joints import short_name
 from nw_policies.drafting.checkpoint import CheckpointFacts, ExporterMetadata
-from nw_policies.drafting.configs import reordered
 from nw_policies.drafting.notation import CHECK, plain
+from nw_policies.drafting.patterns import reordered
 from nw_policies.drafting.trained import trained_network
 from nw_scenes.robots import RobotSpec
 
