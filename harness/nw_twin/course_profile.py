@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from nw_base.errors import SceneError
 from nw_scenes.mesh import TriangleMesh
 from nw_scenes.rays import RayScene
+from nw_twin.walkable import walkable
 
 Values = NDArray[np.float64]
 Shown = Callable[[Values], NDArray[np.bool_]]
@@ -323,8 +324,9 @@ def free_way(
 ) -> Values:
     """Return the longest straight way on level ground, (S, 2) metres, `STEP` apart.
 
-    Ground as wide as a robot to each side of it differs in height by `_LEVEL` at most. Ways are
-    looked for every 15 degrees on a grid of 0.1 m, coarser where the mesh is large.
+    It is on the ground that the cameras walked on, see `walkable.py`. Ground as wide as a robot to
+    each side of it differs in height by `_LEVEL` at most. Ways are looked for every 15 degrees on a
+    grid of 0.1 m, coarser where the mesh is large.
 
     Args:
         mesh: in metres, z up.
@@ -335,12 +337,20 @@ def free_way(
     Raises:
         SceneError: there is no level ground as wide as a robot.
     """
+    rays = RayScene(mesh)
+    ground = walkable(mesh, rays)
+    region = ground.walked(centres)
+    if region is None:
+        raise _no_level("a robot fits nowhere on it")
     low, high = mesh.vertices[:, :2].min(axis=0), mesh.vertices[:, :2].max(axis=0)
     cell = max(_FREE_CELL, float((high - low).max()) / _MOST_CELLS)
     shape = tuple(np.ceil((high - low) / cell).astype(int).tolist())
     middles = low + (np.indices(shape).reshape(2, -1).T + 0.5) * cell
-    heights = RayScene(mesh).height(middles, z_from=below).reshape(shape)
-    known = np.ones(len(middles), dtype=np.bool_) if shown is None else shown(middles)
+    above = rays.height(middles, z_from=below)
+    # Below a table a robot may fit, but no course is laid there.
+    known = np.abs(ground.under(region, middles) - above) <= _LEVEL
+    known &= np.ones(len(middles), dtype=np.bool_) if shown is None else shown(middles)
+    heights = above.reshape(shape)
     reach = max(1, round(_STAND / 2 / cell))
     square = (2 * reach + 1, 2 * reach + 1)
     around = np.lib.stride_tricks.sliding_window_view(
@@ -369,13 +379,23 @@ def free_way(
             row, column = divmod(int(starts[longest]), free.shape[1] + 2)
             ends = points[row, [column, column + int((stops - starts)[longest]) - 1]]
     if not len(ends):
-        raise SceneError(
-            f"the mesh has no level ground {_STAND:g} m wide",
-            fix="photograph the ground too, from above, or set the waypoints on the label page",
+        places = ground.points[ground.region == region]
+        far = np.linalg.norm(places[:, None] - centres, axis=2).min(axis=1)
+        x, y, _ = places[int(far.argmin())].tolist()
+        raise _no_level(
+            f"a robot fits on {ground.areas[region]:.2f} m2 of it at most, {far.min():.1f} m from "
+            f"the nearest camera, about ({x:.1f}, {y:.1f})"
         )
     if (ends[1] - ends[0]) @ (centres[-1, :2] - centres[0, :2]) < 0.0:
         ends = ends[::-1]
     return _evenly(ends)
+
+
+def _no_level(why: str) -> SceneError:
+    return SceneError(
+        f"the mesh has no level ground {_STAND:g} m wide that photographs show: {why}",
+        fix="photograph the ground too, from above, or set the waypoints on the label page",
+    )
 
 
 def _end(away: Values) -> int:
