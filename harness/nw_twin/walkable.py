@@ -1,8 +1,9 @@
 """Where a robot can walk: level by level, and which places are connected.
 
-A grid of vertical lines meets the surfaces of a mesh. A place to stand is where one faces up, is
-no steep slope, and has headroom; a robot fits where most places around it are as high, but for a
-step. What it reaches from a place, through doors and over stairs, is one region.
+A grid of vertical lines meets the surfaces of a mesh. A robot can stand where one faces up, is
+no steep slope, and has headroom; a robot fits where most positions around it are as high, but for a
+step, and nothing is beside it: the walls of scans are sheets, which no vertical line meets. What
+it reaches from a position, through doors and over stairs, is one region.
 """
 
 from __future__ import annotations
@@ -28,8 +29,10 @@ _BELOW = 0.02
 _STEEP = math.cos(math.radians(40.0))
 _HEADROOM, _STEP, _HALF_WIDTH = 0.6, 0.25, 0.2
 """Of a quadruped, m; the step is also that between lines, on stairs and slopes."""
+_BODY, _WAYS = 0.3, 8
+"""Height over the ground at which nothing may be beside a robot, m, and directions that count."""
 _AROUND = 0.8
-"""Share of the places around that are there where a robot fits: scans have small holes."""
+"""Share of the positions around that are there where a robot fits: scans have small holes."""
 _UNDER = (0.15, 3.0)
 """How far below a camera the floor is that somebody walked on, m."""
 _ASIDE = 1.0
@@ -83,10 +86,11 @@ class Walkable:
         votes = np.zeros(len(self.areas))
         for centre in centres:
             under = centre[2] - self.points[:, 2]
-            near = (under > _UNDER[0]) & (under < _UNDER[1])
-            near &= np.linalg.norm(self.points[:, :2] - centre[:2], axis=1) < _ASIDE
+            aside = np.linalg.norm(self.points[:, :2] - centre[:2], axis=1)
+            near = np.flatnonzero((under > _UNDER[0]) & (under < _UNDER[1]) & (aside < _ASIDE))
             votes[np.unique(self.region[near])] += 1.0
-        return int(np.argmax(votes >= _VOTES * max(float(votes.max()), 1.0)))
+        enough = np.flatnonzero(votes >= _VOTES * max(float(votes.max()), 1.0)).tolist()
+        return enough[0] if enough else 0
 
     def under(self, region: int, xy: Values) -> Values:
         """Return the height of a region at points (N, 2), m; nan where a robot does not fit."""
@@ -122,8 +126,13 @@ def walkable(mesh: TriangleMesh, rays: RayScene | None = None) -> Walkable:
         for j in range(-reach, reach + 1)
         if (i or j) and math.hypot(i, j) * cell <= _HALF_WIDTH + 0.5 * cell
     ]
-    beside = sum(np.isfinite(_nearest(z, way)).astype(np.float64) for way in ways)
+    beside = np.zeros(z.shape)
+    for way in ways:
+        beside += np.isfinite(_nearest(z, way))
     fits = np.isfinite(z) & (beside >= _AROUND * len(ways))
+    level, i, j = np.nonzero(fits)
+    xy = lines.reshape(*shape, 2)
+    fits[level, i, j] = _free(rays, np.column_stack([xy[i, j], z[level, i, j]]))
     number = np.full(z.shape, -1, dtype=np.int64)
     number[fits] = np.arange(int(np.count_nonzero(fits)))
     first, second = _steps(np.where(fits, z, np.nan), number)
@@ -133,11 +142,10 @@ def walkable(mesh: TriangleMesh, rays: RayScene | None = None) -> Walkable:
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     level, i, j = np.nonzero(fits)
-    xy = lines.reshape(*shape, 2)[i, j]
     return Walkable(
         low=low[:2],
         cell=cell,
-        points=np.column_stack([xy, z[level, i, j]]),
+        points=np.column_stack([xy[i, j], z[level, i, j]]),
         region=rank[region],
         areas=(counts[order] * cell * cell).astype(np.float64),
     )
@@ -160,6 +168,17 @@ def _standing(mesh: TriangleMesh, rays: RayScene, xy: Values, top: float) -> Val
         heights[level, lines[stands]] = z[stands]
         above[lines], start[lines] = z, z - _BELOW
     return heights
+
+
+def _free(rays: RayScene, places: Values) -> NDArray[np.bool_]:
+    """Return at which places (N, 3) nothing is beside a robot's body."""
+    eyes = places + np.array([0.0, 0.0, _BODY])
+    free = np.ones(len(places), dtype=np.bool_)
+    for turn in range(_WAYS):
+        angle = 2.0 * math.pi * turn / _WAYS
+        way = np.tile([math.cos(angle), math.sin(angle), 0.0], (len(places), 1))
+        free &= rays.distance(eyes, way) > _HALF_WIDTH
+    return free
 
 
 def _nearest(z: Values, way: tuple[int, int]) -> Values:

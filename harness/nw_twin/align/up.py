@@ -59,7 +59,7 @@ class KnownUp:
         sigma: its standard deviation where it is right, radians.
         right: probability that it is.
         others: other directions that it may mean: (3,), its probability, and its sigma.
-        exact: whether where it is right it is off by `sigma` alone, however the place is bent.
+        exact: whether where it is right it is off by `sigma` alone, however the map is bent.
         reason: for people.
     """
 

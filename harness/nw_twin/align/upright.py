@@ -1,7 +1,7 @@
 """Up of a mesh whose cameras are not known: by its file format, its planes, and how it lies.
 
 The posterior is that of `up.py`. Instead of a horizon it has what a format says of its axes, which
-many files break, and three broad cues: more of a place faces up than another way, a place is wider
+many files break, and three broad cues: more of a scene faces up than another way, a scene is wider
 than high, and what is in a room stands on its floor.
 """
 

@@ -72,9 +72,11 @@ _INCLINED = math.radians(8.0)
 """Of the ground at the start, from which on it is said; beyond 20 degrees no robot starts there."""
 _LONGEST, _BEHIND = 4.0, 0.7
 """Of a proposed course, and of the ground behind its end and before its start; metres."""
-_TRIED, _HOLED = 8, 20.0
-"""Ways of one heading that are looked at for holes, and what a hole costs, in half metres of
-course."""
+_TRIED, _HOLED, _BUMPY = 8, 20.0, 5.0
+"""Ways of one heading that are looked at for holes, and what a hole costs and a metre by which the
+ground rises and falls, in half metres of course."""
+_AS_SEEN = 0.1
+"""Difference between the ground that is seen and that which physics has, m."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -585,6 +587,10 @@ def _proposed(
         even &= (room.reshape(z.shape) > _HEADROOM)[:, 1:]
         whole = np.logical_and.accumulate(even.all(axis=2), axis=1)
         reach = whole.sum(axis=1) * _STRIDE - 2 * _BEHIND
+        # Along the course itself a robot fits: through a wall that is a sheet it does not.
+        line = xy[:, first:, 1]
+        fits = np.isfinite(ground.under(number, line.reshape(-1, 2))).reshape(line.shape[:2])
+        reach = np.minimum(reach, np.logical_and.accumulate(fits, axis=1).sum(axis=1) * _STRIDE)
         longest = max(longest, float(reach.max()))
         away = np.linalg.norm(starts[:, :2] + _LONGEST / 2 * ahead - middle, axis=1)
         course = z[:, first : first + round(_LONGEST / _STRIDE), 1]
@@ -596,7 +602,7 @@ def _proposed(
         # A bench may be longer than the floor before it.
         off = np.abs(np.nan_to_num(z[:, first, 1]) - floor)
         off = np.clip(2.0 * (off / _ON_FLOOR - 1.0), 0.0, 6.0)
-        score = np.floor(reach / 0.5) - 2.0 * bumps - off
+        score = np.floor(reach / 0.5) - _BUMPY * bumps - off
         score -= 1e-3 * away + 1e-2 * (turn % 4 != 0)
         for i in np.argsort(-score, kind="stable")[:_TRIED].tolist():
             worth = float(score[i])
@@ -609,11 +615,15 @@ def _proposed(
             points = np.column_stack([xy[i, rows, 1], z[i, rows, 1]])
             spawn = Spawn(position=(*points[0].tolist(),), yaw=yaw)
             holes, _ = holes_along(mesh, spawn, points[1:], HALF_WIDTH, _BEHIND)
-            # A course without holes is better, however short.
-            worth -= _HOLED if len(holes) else 0.0
+            line = slice(first, int(rows[-1]) + 1)
+            touched = _ground(mesh, rays, xy[i, line, 1], points)
+            as_seen = np.abs(touched - z[i, line, 1]) <= _AS_SEEN  # False where there is none.
+            is_whole = not len(holes) and bool(as_seen.all())
+            # A course without holes, and with nothing over it, is better, however short.
+            worth -= 0.0 if is_whole else _HOLED
             if best is None or worth > best[0]:
                 best = (worth, points, yaw)
-            if not len(holes):
+            if is_whole:
                 break
     return (None if best is None else best[1:]), longest
 

@@ -102,15 +102,17 @@ def test_nine_of_ten_stated_angles_hold_the_true_up_of_a_scan(first, count):
     assert np.median(off[sure]) < 0.6
 
 
-@pytest.mark.parametrize(("suffix", "name"), [(".glb", "+z"), (".glb", "-x"), (".obj", "-y")])
-def test_a_format_that_contradicts_the_planes_loses_or_somebody_is_asked(suffix, name):
-    rng = np.random.default_rng(3)
-    vertices, faces = shell(rng, outdoor=False)
-    up = AXES[name]
-    aside = np.roll(up, 1)
-    turn = np.stack([aside, np.cross(up, aside), up], axis=1)
-    solved = up_of_mesh(vertices @ turn.T, faces, suffix)
-    assert next(iter(solved.axes)) == name or solved.uncertain > 80.0
+def test_a_glb_whose_planes_contradict_its_format_is_laid_by_its_planes():
+    wrong, right = 0, 0
+    for seed in range(12):
+        vertices, faces = shell(np.random.default_rng(seed), outdoor=False)
+        solved = up_of_mesh(vertices, faces, ".glb")  # +z is up.
+        is_right = next(iter(solved.axes)) == "+z"
+        right += is_right
+        wrong += not is_right and solved.uncertain < 80.0
+    # Rooms as high as wide may stand on a wall, and one file in thirty contradicts the standard.
+    assert right >= 8
+    assert wrong <= 2
 
 
 def test_an_axis_of_the_file_is_kept_exactly_and_a_floor_that_is_off_it_becomes_level():
