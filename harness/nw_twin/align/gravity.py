@@ -164,7 +164,7 @@ _TOLERANCE = 0.01
 _SAMPLES = 4000
 """Points on a mesh in which planes are looked for."""
 _LEAST_POINTS = 12
-_SURE = 5.0
+_SURE = 6.0
 """Degrees: up that is known worse is worth a word."""
 _STEEPEST, _SLOPE = math.radians(6.0), math.radians(15.0)
 """By which a floor may slope where up is not known better; and where upright edges say that up."""

@@ -75,7 +75,7 @@ _LONGEST, _BEHIND = 4.0, 0.7
 _TRIED, _HOLED, _BUMPY = 8, 20.0, 5.0
 """Ways of one heading that are looked at for holes, and what a hole costs and a metre by which the
 ground rises and falls, in half metres of course."""
-_AS_SEEN = 0.1
+_AS_SEEN = 0.05
 """Difference between the ground that is seen and that which physics has, m."""
 
 
@@ -615,9 +615,9 @@ def _proposed(
             points = np.column_stack([xy[i, rows, 1], z[i, rows, 1]])
             spawn = Spawn(position=(*points[0].tolist(),), yaw=yaw)
             holes, _ = holes_along(mesh, spawn, points[1:], HALF_WIDTH, _BEHIND)
-            line = slice(first, int(rows[-1]) + 1)
-            touched = _ground(mesh, rays, xy[i, line, 1], points)
-            as_seen = np.abs(touched - z[i, line, 1]) <= _AS_SEEN  # False where there is none.
+            line = slice(first - first // 2, int(rows[-1]) + first + 1)
+            touched = _ground(mesh, rays, xy[i, line].reshape(-1, 2), points)
+            as_seen = np.abs(touched - z[i, line].ravel()) <= _AS_SEEN  # False where there is none.
             is_whole = not len(holes) and bool(as_seen.all())
             # A course without holes, and with nothing over it, is better, however short.
             worth -= 0.0 if is_whole else _HOLED
