@@ -99,7 +99,7 @@ class Walkable:
         grid = np.full(cells.max(axis=0) + 1, np.nan)
         grid[tuple(cells.T)] = places[:, 2]
         wanted = np.floor((xy - self.low) / self.cell).astype(np.int64)
-        inside = ((wanted >= 0) & (wanted < grid.shape)).all(axis=1)
+        inside = np.logical_and.reduce((wanted >= 0) & (wanted < grid.shape), axis=1)
         heights = grid[tuple(np.where(inside[:, None], wanted, 0).T)]
         return np.where(inside, heights, np.nan)
 
