@@ -28,7 +28,7 @@ from nw_twin.course_profile import (
     GroundProfile,
     Shown,
     Stretch,
-    free_way,
+    free_ways,
     ground_along,
     sound,
     stretches_of,
@@ -56,6 +56,8 @@ _FEET = np.linspace(-0.3, 0.3, 13)
 """Lines beside the way on which feet go, metres."""
 _BEHIND = 0.3
 """Of ground behind the start on which hind feet stand, metres."""
+_TRIED = 6
+"""Strips of level ground that are looked at for one without holes."""
 _LONGEST = 8.0
 """Of a course, metres: a trial has 12 s, in which go1-parkour walks about as far."""
 _BOW = 0.15
@@ -146,15 +148,27 @@ def propose_free_course(
 ) -> CourseProposal:
     """Return a course on the longest straight strip of level ground, wherever the cameras went.
 
-    It leads the way that the cameras went, as far as they went anywhere. Arguments as
-    `propose_course`.
+    One without holes is better, however short. It leads the way that the cameras went, as far as
+    they went anywhere. Arguments as `propose_course`.
 
     Raises:
         SceneError: no such strip is long enough.
     """
     below = float(centres[:, 2].max())
-    profile = ground_along(mesh, free_way(mesh, centres, below, shown), below)
-    return _proposed(mesh, profile, below, length, half_width, from_start=True)
+    proposals: list[CourseProposal] = []
+    failed: SceneError | None = None
+    for way in free_ways(mesh, centres, below, shown)[:_TRIED]:
+        try:
+            profile = ground_along(mesh, way, below)
+            proposals.append(_proposed(mesh, profile, below, length, half_width, from_start=True))
+        except SceneError as error:
+            failed = failed or error
+            continue
+        if proposals[-1].whole:
+            return proposals[-1]
+    if not proposals and failed is not None:
+        raise failed
+    return proposals[0]
 
 
 def _proposed(

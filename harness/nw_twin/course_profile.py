@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from nw_base.errors import SceneError
 from nw_scenes.mesh import TriangleMesh
 from nw_scenes.rays import RayScene
+from nw_twin.walkable import walkable
 
 Values = NDArray[np.float64]
 Shown = Callable[[Values], NDArray[np.bool_]]
@@ -318,13 +319,16 @@ def way_of(centres: Values) -> Values:
     return _evenly((sums[width:] - sums[:-width]) / width)
 
 
-def free_way(
+def free_ways(
     mesh: TriangleMesh, centres: Values, below: float, shown: Shown | None = None
-) -> Values:
-    """Return the longest straight way on level ground, (S, 2) metres, `STEP` apart.
+) -> list[Values]:
+    """Return the longest straight ways on level ground, (S, 2) metres, `STEP` apart.
 
-    Ground as wide as a robot to each side of it differs in height by `_LEVEL` at most. Ways are
-    looked for every 15 degrees on a grid of 0.1 m, coarser where the mesh is large.
+    One for each heading at most, the longest one first.
+
+    It is on the ground that the cameras walked on, see `walkable.py`. Ground as wide as a robot to
+    each side of it differs in height by `_LEVEL` at most. Ways are looked for every 15 degrees on a
+    grid of 0.1 m, coarser where the mesh is large.
 
     Args:
         mesh: in metres, z up.
@@ -335,12 +339,20 @@ def free_way(
     Raises:
         SceneError: there is no level ground as wide as a robot.
     """
+    rays = RayScene(mesh)
+    ground = walkable(mesh, rays)
+    region = ground.walked(centres)
+    if region is None:
+        raise _no_level("a robot fits nowhere on it")
     low, high = mesh.vertices[:, :2].min(axis=0), mesh.vertices[:, :2].max(axis=0)
     cell = max(_FREE_CELL, float((high - low).max()) / _MOST_CELLS)
     shape = tuple(np.ceil((high - low) / cell).astype(int).tolist())
     middles = low + (np.indices(shape).reshape(2, -1).T + 0.5) * cell
-    heights = RayScene(mesh).height(middles, z_from=below).reshape(shape)
-    known = np.ones(len(middles), dtype=np.bool_) if shown is None else shown(middles)
+    above = rays.height(middles, z_from=below)
+    # Below a table a robot may fit, but no course is laid there.
+    known = np.abs(ground.under(region, middles) - above) <= _LEVEL
+    known &= np.ones(len(middles), dtype=np.bool_) if shown is None else shown(middles)
+    heights = above.reshape(shape)
     reach = max(1, round(_STAND / 2 / cell))
     square = (2 * reach + 1, 2 * reach + 1)
     around = np.lib.stride_tricks.sliding_window_view(
@@ -349,7 +361,7 @@ def free_way(
     lowest, highest = around.min(axis=(2, 3)), around.max(axis=(2, 3))
     there = np.isfinite(lowest) & known.reshape(shape)
     level = there & (np.where(there, highest - np.where(there, lowest, 0.0), np.inf) <= _LEVEL)
-    best, ends = 0.0, np.zeros((0, 2))
+    found: list[tuple[float, Values]] = []
     middle, size = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     stations = np.arange(-size, size + cell, cell)
     for turn in np.radians(np.arange(0.0, 180.0, 15.0)).tolist():
@@ -363,19 +375,32 @@ def free_way(
         # A column of False between the lines ends each run.
         flat = np.pad(free, ((0, 0), (1, 1))).ravel().astype(np.int8)
         starts, stops = (np.flatnonzero(np.diff(flat) == way) for way in (1, -1))
-        if len(starts) and (stops - starts).max() * cell > best + 1e-9:
+        if len(starts):
             longest = int(np.argmax(stops - starts))
-            best = float((stops - starts)[longest]) * cell
             row, column = divmod(int(starts[longest]), free.shape[1] + 2)
-            ends = points[row, [column, column + int((stops - starts)[longest]) - 1]]
-    if not len(ends):
-        raise SceneError(
-            f"the mesh has no level ground {_STAND:g} m wide",
-            fix="photograph the ground too, from above, or set the waypoints on the label page",
+            last = column + int((stops - starts)[longest]) - 1
+            ends = points[row, [column, last]]
+            if (ends[1] - ends[0]) @ (centres[-1, :2] - centres[0, :2]) < 0.0:
+                ends = ends[::-1]
+            found.append((round(float((stops - starts)[longest]) * cell, 6), _evenly(ends)))
+    if not found:
+        places = ground.points[ground.region == region]
+        far = np.full(len(places), np.inf)
+        for centre in centres:
+            far = np.minimum(far, np.linalg.norm(places - centre, axis=1))
+        x, y, _ = places[int(far.argmin())].tolist()
+        raise _no_level(
+            f"a robot fits on {ground.areas[region]:.2f} m2 of it at most, {far.min():.1f} m from "
+            f"the nearest camera, about ({x:.1f}, {y:.1f})"
         )
-    if (ends[1] - ends[0]) @ (centres[-1, :2] - centres[0, :2]) < 0.0:
-        ends = ends[::-1]
-    return _evenly(ends)
+    return [way for _, way in sorted(found, key=lambda one: -one[0])]
+
+
+def _no_level(why: str) -> SceneError:
+    return SceneError(
+        f"the mesh has no level ground {_STAND:g} m wide that photographs show: {why}",
+        fix="photograph the ground too, from above, or set the waypoints on the label page",
+    )
 
 
 def _end(away: Values) -> int:

@@ -20,6 +20,7 @@ from nw_base.words import UpAxis
 from nw_scenes.rays import RayScene
 from nw_scenes.scene import Vector
 from nw_twin.align.alignment import (
+    CARRIED,
     MOST_DEGREES,
     MOST_DIFFERENCE,
     Alignment,
@@ -29,6 +30,7 @@ from nw_twin.align.alignment import (
     Pixel,
     ScaleCue,
     check_inside,
+    placed,
     words_of,
 )
 from nw_twin.align.gravity import Mesh, find_gravity
@@ -51,9 +53,6 @@ _CONTRADICT = 3.0
 """Standard deviations of their difference from which on two sources contradict each other."""
 _NINE_OF_TEN = 1.645
 """Standard deviations within which a scale lies nine times out of ten."""
-CARRIED = 1.5
-"""Metres above the floor at which people carry a camera: the unit where nothing gives a scale."""
-
 _TOLERANCE = 8.0
 """Pixels that a picked point may be off: hands are less exact than detectors."""
 
@@ -469,7 +468,7 @@ def align(
         )
     others = {cue.name for cue in gravity.cues} - {"horizon", "mesh"}
     alone = f": by the cameras and the {min(others)} alone" if len(others) == 1 else ""
-    say(f"up is known to {gravity.uncertain:.1f} degrees, nine times out of ten{alone}")
+    say(f"up is known to {gravity.uncertain:.1f} degrees (95 %){alone}")
     scale = find_scale(
         capture,
         capture_folder,
@@ -564,35 +563,3 @@ def _disagreements(gravity: tuple[GravityCue, ...], scales: tuple[ScaleCue, ...]
         for cue in scales
         if scales[0].used and abs(cue.difference) > MOST_DIFFERENCE
     ]
-
-
-def placed(*, up: Values, scale: float, floor: float, centres: Values, forward: Values) -> Values:
-    """Return T_metric_capture (4, 4).
-
-    The origin lies on the floor below the first camera, x leads to the camera that is farthest from
-    it in the plane. Where no camera moved, x is the way that the first one looks.
-
-    Args:
-        up: (3,) unit vector in the capture's frame.
-        scale: metres in a unit of the capture.
-        floor: its height along `up`, in the capture's unit.
-        centres: (V, 3) of the cameras, one at least.
-        forward: (3,) where the first camera looks.
-    """
-    ways = centres - centres[0]
-    ways = ways - np.einsum("ni,i->n", ways, up)[:, None] * up
-    lengths = np.linalg.norm(ways, axis=1)
-    heights = np.einsum("ni,i->n", centres, up) - floor
-    x = ways[int(np.argmax(lengths))]
-    if lengths.max() < 0.05 * float(np.abs(heights).max()):
-        x = forward - (forward @ up) * up
-    if np.linalg.norm(x) < 1e-9 * max(1.0, float(np.linalg.norm(forward))):
-        x = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])  # It looks straight down.
-    x = x - (x @ up) * up
-    x = x / np.linalg.norm(x)
-    rotation = np.stack([x, np.cross(up, x), up])
-    origin = centres[0] - float(heights[0]) * up
-    T = np.eye(4)
-    T[:3, :3] = scale * rotation
-    T[:3, 3] = -scale * rotation @ origin
-    return T

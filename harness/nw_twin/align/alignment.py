@@ -39,6 +39,10 @@ _FIX = "align again: `nw-eval twin align`"
 _Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
 
+CARRIED = 1.5
+"""Metres above the floor at which people carry a camera: the unit where nothing gives a scale."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class KnownLength:
     """Two points of a scene whose distance was measured.
@@ -243,7 +247,7 @@ class Alignment:
             or where they contradict each other.
         floor_share: of the points, those on the mesh with them, which lies on the floor.
         warnings: what somebody should look at.
-        up_uncertain: angle within which up lies nine times out of ten, degrees; None in a file that
+        up_uncertain: angle within which up lies with 95 %, degrees; None in a file that
             does not say.
         scale_uncertain: relative error of the scale, nine times out of ten at most; None where
             nothing gives one.
@@ -262,6 +266,45 @@ class Alignment:
     def is_to_scale(self) -> bool:
         """Whether the metric frame is in metres, not in an unknown unit."""
         return any(cue.used for cue in self.scales)
+
+
+def placed(
+    *,
+    up: NDArray[np.float64],
+    scale: float,
+    floor: float,
+    centres: NDArray[np.float64],
+    forward: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return T_metric_capture (4, 4).
+
+    The origin lies on the floor below the first camera, x leads to the camera that is farthest from
+    it in the plane. Where no camera moved, x is the way that the first one looks.
+
+    Args:
+        up: (3,) unit vector in the capture's frame.
+        scale: metres in a unit of the capture.
+        floor: its height along `up`, in the capture's unit.
+        centres: (V, 3) of the cameras, one at least.
+        forward: (3,) where the first camera looks.
+    """
+    ways = centres - centres[0]
+    ways = ways - np.einsum("ni,i->n", ways, up)[:, None] * up
+    lengths = np.linalg.norm(ways, axis=1)
+    heights = np.einsum("ni,i->n", centres, up) - floor
+    x = ways[int(np.argmax(lengths))]
+    if lengths.max() < 0.05 * float(np.abs(heights).max()):
+        x = forward - (forward @ up) * up
+    if np.linalg.norm(x) < 1e-9 * max(1.0, float(np.linalg.norm(forward))):
+        x = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])  # It looks straight down.
+    x = x - (x @ up) * up
+    x = x / np.linalg.norm(x)
+    rotation = np.stack([x, np.cross(up, x), up])
+    origin = centres[0] - float(heights[0]) * up
+    T = np.eye(4)
+    T[:3, :3] = scale * rotation
+    T[:3, 3] = -scale * rotation @ origin
+    return T
 
 
 class _AlignModel(BaseModel):

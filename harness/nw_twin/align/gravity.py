@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from nw_base.errors import SceneError
 from nw_base.plural import plural
-from nw_twin.align.alignment import GravityCue
+from nw_twin.align.alignment import CARRIED, GravityCue, placed
 from nw_twin.align.planes import (
     AGREES,
     LEVEL,
@@ -40,6 +40,8 @@ from nw_twin.align.planes import (
 )
 from nw_twin.align.up import KnownUp, solve_up
 from nw_twin.capture import Capture, PlacedShot, read_picture
+from nw_twin.place import moved_mesh, moved_points
+from nw_twin.walkable import walkable
 
 _SHOTS = 60
 """That are looked at, evenly spread, at most."""
@@ -162,7 +164,7 @@ _TOLERANCE = 0.01
 _SAMPLES = 4000
 """Points on a mesh in which planes are looked for."""
 _LEAST_POINTS = 12
-_SURE = 5.0
+_SURE = 6.0
 """Degrees: up that is known worse is worth a word."""
 _STEEPEST, _SLOPE = math.radians(6.0), math.radians(15.0)
 """By which a floor may slope where up is not known better; and where upright edges say that up."""
@@ -193,7 +195,7 @@ class GravityAnswer:
         has_floor: whether a level plane was found there; else it is as high as the lowest points.
         heights: (V,) of the cameras above the floor, along `up`, in the capture's unit.
         lower: share of the cameras' median height by which the lowest points lie below the floor.
-        uncertain: angle within which up lies with a probability of 0.9, degrees.
+        uncertain: angle within which up lies with 95 %, degrees.
         cues: what each says.
         warnings: what somebody should look at, disagreements aside.
     """
@@ -244,7 +246,7 @@ def find_gravity(
     cloud = points
     if mesh is not None:
         # Ground without texture has few points, and depth all the same.
-        sampled = _sampled(*mesh, rng)
+        sampled, _ = sample_mesh(*mesh, rng)
         planes += find_planes(sampled, tolerance, rng)
         cloud = np.concatenate([points, sampled])
     doubts = [doubt(one, cloud, centres, level.up, 3.0 * tolerance) for one in planes]
@@ -264,7 +266,7 @@ def find_gravity(
         for plane in planes
         if abs(plane.normal @ up) < math.sin(AGREES) and plane.share > _LEAST_WALL
     ]
-    floor = find_floor(cloud, centres, up, flat, tolerance)
+    floor = find_floor(cloud, centres, up, flat, tolerance, mesh)
     by_mesh = None
     if mesh is not None and floor.plane is not None:
         vertices, faces = mesh
@@ -274,6 +276,9 @@ def find_gravity(
         if plane.share > _RAMP and math.degrees(LEVEL) * 12 < slope < 40:
             say(f"a plane with {plane.share:.0%} of the points slopes by {slope:.1f} degrees")
     plane = by_mesh or floor.plane
+    if plane is not None:
+        solution = solution.by_floor(plane.normal)
+        up = solution.up
     heights = np.einsum("ni,i->n", capture.centres, up) - floor.height
     lower = 0.0
     if plane is not None:
@@ -293,20 +298,22 @@ def find_gravity(
     )
 
 
-def _sampled(
+def sample_mesh(
     vertices: NDArray[np.floating], faces: NDArray[np.integer], rng: np.random.Generator
-) -> Values:
-    """Return points (N, 3) on a mesh, as dense on each face as on any other."""
+) -> tuple[Values, Values]:
+    """Return points (N, 3) on a mesh, as dense on each face as on any other, and its normals."""
     corners = vertices.astype(np.float64)[faces]
     sides = corners[:, 1:] - corners[:, :1]
-    area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    area = np.linalg.norm(normals, axis=1)
     if not area.sum() > 0:
-        return np.zeros((0, 3))
+        return np.zeros((0, 3)), np.zeros((0, 3))
     chosen = np.searchsorted(np.cumsum(area), rng.random(_SAMPLES) * area.sum())
     chosen = np.minimum(chosen, len(faces) - 1)
     share = np.sort(rng.random((_SAMPLES, 2)), axis=1)
     weights = np.column_stack([share[:, 0], share[:, 1] - share[:, 0], 1.0 - share[:, 1]])
-    return np.einsum("nk,nki->ni", weights, corners[chosen])
+    points = np.einsum("nk,nki->ni", weights, corners[chosen])
+    return points, normals[chosen] / np.maximum(area[chosen, None], 1e-300)
 
 
 def _distance(capture: Capture) -> float:
@@ -414,13 +421,13 @@ def doubt(plane: FittedPlane, points: Values, centres: Values, up: Values, far: 
     Args:
         plane: in question.
         points: (N, 3).
-        centres: (V, 3) of the cameras.
+        centres: (V, 3) of the cameras; V may be 0.
         up: (3,) roughly.
         far: how far below it a point has to be.
     """
     sense = 1.0 if plane.normal @ up >= 0 else -1.0
     under = float((sense * plane.distances(points) < -far).mean())
-    cameras = float((sense * plane.distances(centres) < 0).mean())
+    cameras = float((sense * plane.distances(centres) < 0).mean()) if len(centres) else 0.0
     return 15.0 * under + 5.0 * cameras
 
 
@@ -430,8 +437,11 @@ def find_floor(
     up: Values,
     level: Sequence[FittedPlane],
     tolerance: float,
+    mesh: Mesh | None = None,
 ) -> FloorLevel:
     """Return the floor among level planes; a ceiling is above the cameras, a table has a floor.
+
+    Of several it is the one on which a robot can walk farthest, or else that of most points.
 
     Args:
         points: (N, 3), one at least.
@@ -439,6 +449,7 @@ def find_floor(
         up: (3,) unit vector.
         level: planes, normals upwards.
         tolerance: how far off a point of the floor may be.
+        mesh: in the frame of the points; None without.
     """
     heights = np.einsum("ni,i->n", points, up)
     cameras = np.einsum("ni,i->n", centres, up)
@@ -453,12 +464,31 @@ def find_floor(
         if plane.share >= _LEAST_FLOOR and above >= _ABOVE and below <= _BELOW:
             floors.append((plane.share, height, plane))
     if floors:
-        share, height, plane = max(floors, key=lambda one: one[0])
+        walked = [0.0] * len(floors)
+        if mesh is not None and len(floors) > 1:
+            walked = [_walked(mesh, centres, up, height) for _, height, _ in floors]
+        best = max(range(len(floors)), key=lambda i: (walked[i], floors[i][0]))
+        share, height, plane = floors[best]
         return FloorLevel(height=height, plane=plane, share=share)
     under = heights[heights < cameras.min()]
     lowest = float(np.quantile(under if len(under) else heights, _LOWEST))
     share = float((np.abs(heights - lowest) <= tolerance).mean())
     return FloorLevel(height=lowest, plane=None, share=share)
+
+
+def _walked(mesh: Mesh, centres: Values, up: Values, height: float) -> float:
+    """Return the area on which cameras walked if the floor is so high, in the capture's unit2."""
+    cameras = float(np.median(np.einsum("ni,i->n", centres, up))) - height
+    if cameras <= 0.0:
+        return 0.0
+    # As if people had carried them: what a robot steps over and fits into is in metres.
+    scale = CARRIED / cameras
+    T = placed(up=up, scale=scale, floor=height, centres=centres, forward=up)
+    ground = walkable(moved_mesh(T, *mesh))
+    region = ground.walked(moved_points(T, centres))
+    if region is None or abs(ground.height(region)) > 0.1 * CARRIED:
+        return 0.0
+    return float(ground.areas[region]) / scale**2
 
 
 def floor_of_mesh(

@@ -36,10 +36,12 @@ from nw_scenes.scene import Spawn
 from nw_scenes.surface import Surface
 from nw_sim.survey import footing_lines, survey_lines
 from nw_sim.survey.ground import holes_along
+from nw_twin.align.upright import AXES, up_of_mesh
 from nw_twin.course import HALF_WIDTH
 from nw_twin.place import SUITE, Route, check_scene_name, moved_points
 from nw_twin.scans.looks import write_looks
 from nw_twin.scans.points import LAS_SUFFIXES, is_cloud, surfaced
+from nw_twin.walkable import Walkable, walkable
 
 Values = NDArray[np.float64]
 Unit = Literal["m", "cm", "mm", "ft", "in"]
@@ -54,16 +56,10 @@ _FAR = 100.0
 _ODDLY_WIDE = 200.0
 """Metres, from which on the unit is asked about."""
 _LEVEL = math.cos(math.radians(20.0))
-_CLEARLY = 1.5
-_FLOOR_SHARE = 0.2
-"""Times as much area must look along another axis as along the one that is up by the format, and as
-a share of all."""
+_SURE = 5.0
+"""Degrees: up that is known worse is asked for."""
 _STEP, _STRIDE, _ROOM = 0.25, 0.1, 0.2
 """Of a proposed trail: highest step, distance of samples along it, and room to each side."""
-_ALONE = 3.0
-"""Times as much area must look along an axis as against it for area to say which end is up."""
-_STANDS = 0.45
-"""Share of a room's height below which its contents stand rather than hang."""
 _ROOMS = (1.8, 6.0)
 """Heights of rooms, m; beyond, the unit is asked about."""
 _FOOT, _HEADROOM = 0.02, 0.6
@@ -76,9 +72,11 @@ _INCLINED = math.radians(8.0)
 """Of the ground at the start, from which on it is said; beyond 20 degrees no robot starts there."""
 _LONGEST, _BEHIND = 4.0, 0.7
 """Of a proposed course, and of the ground behind its end and before its start; metres."""
-_TRIED, _HOLED = 8, 20.0
-"""Ways of one heading that are looked at for holes, and what a hole costs, in half metres of
-course."""
+_TRIED, _HOLED, _BUMPY = 8, 20.0, 5.0
+"""Ways of one heading that are looked at for holes, and what a hole costs and a metre by which the
+ground rises and falls, in half metres of course."""
+_AS_SEEN = 0.05
+"""Difference between the ground that is seen and that which physics has, m."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +85,8 @@ class ScanOptions:
 
     Attributes:
         unit: of the file's numbers; `auto` is what a comment of the file names, or else the metre.
-        up: which axis of the file is up; `auto` is +y of glTF, and of other meshes the one that
-            most of the ground looks along.
+        up: which axis of the file is up; `auto` is by all cues together: what the format says, the
+            mesh's planes, and how it lies.
         splat: Gaussians of the same scene, such as the same app exports; None = they are made of
             the mesh's colours, if it has some.
         splat_transform: a text file of 16 numbers, the 4 x 4 matrix from the splat's numbers to
@@ -341,41 +339,45 @@ def _unit(painted: PaintedMesh, options: ScanOptions) -> Unit:
 def _upright(
     painted: PaintedMesh, source: Path, options: ScanOptions
 ) -> tuple[Values, list[str], str | None]:
-    """Return (4, 4) from file to metres with z up, which axis is up by what, and what is at odds.
+    """Return (4, 4) from file to metres with z up, which way is up by what, and what is at odds.
 
     The last is None where nothing is.
     """
-    corners = painted.vertices[painted.faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(normal, axis=1)
-    lined = normal / area[:, None]
-    shares = {
-        axis: float(area[_axis(axis) @ lined.T > _LEVEL].sum() / area.sum())
-        for axis in get_args(Axis)
-        if axis != "auto"
-    }
-    is_gltf = source.suffix.lower() == ".glb"
-    by_faces, stands = _by_faces(shares, corners, "+y" if is_gltf else "+z")
-    up = options.up
-    if up == "auto":
-        up = "+y" if is_gltf else by_faces
+    suffix = source.suffix.lower()
+    solved = up_of_mesh(painted.vertices.astype(np.float64), painted.faces, suffix)
+    up = solved.up if options.up == "auto" else AXES[options.up]
+    near = max(AXES, key=lambda name: float(AXES[name] @ up))
     unit = _unit(painted, options)
     scale = UNITS[unit]
     T = np.eye(4)
-    T[:3, :3] = scale * turn_to_z(_axis(up))
-    why = f"{100 * shares[up]:.0f} % of its area faces along it"
-    if options.up == "auto" and is_gltf:
-        why += ", and it is up in glTF"
-    lines = [f"up is {up} of the file: {why}; one unit is {scale:g} m"]
+    T[:3, :3] = scale * turn_to_z(up)
+    corners = painted.vertices[painted.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    share = float(area[normal @ up > _LEVEL * area].sum() / max(float(area.sum()), 1e-300))
+    which = f"{near} of the file"
+    if not np.array_equal(up, AXES[near]):
+        x, y, z = up.tolist()
+        off = math.degrees(math.acos(min(1.0, float(up @ AXES[near]))))
+        which = f"({x:.3f}, {y:.3f}, {z:.3f}) of the file, {off:.1f} degrees from {near}"
+    lines = [
+        f"up is {which}: {100 * share:.0f} % of its area faces along it; one unit is {scale:g} m"
+    ]
     fault = None
-    if up != by_faces:
-        lines.append(
-            f"by its faces up is {by_faces}, along which {100 * shares[by_faces]:.0f} % look"
-            + (", with what is in the room low" if stands else "")
-        )
-        if options.up == "auto" and (stands or shares[by_faces] > 5.0 * shares[up]):
-            fault = f"{lines[-1]}, against glTF's {up}; give --up {by_faces}, or --up {up}"
-    room = room_of(corners, _axis(up))
+    if options.up == "auto":
+        lines.append(f"up is known to {solved.uncertain:.1f} degrees (95 %)")
+        if suffix == ".glb" and near != "+y":
+            lines.append("glTF has +y up by its standard: the planes of this file contradict it")
+        if solved.uncertain > _SURE:
+            likely = [f"{one} {share:.0%}" for one, share in solved.axes.items() if share >= 0.005]
+            fault = (
+                f"up is known to {solved.uncertain:.0f} degrees only: within 20 degrees of "
+                f"{', '.join(likely) or 'no axis'}; give --up {near} if that is right, or {_FLOOR}"
+            )
+    elif solved.axes.get(options.up, 0.0) < 0.5:
+        first, probable = next(iter(solved.axes.items()))
+        lines.append(f"by its planes, and what stands on them, up is {first} ({probable:.0%})")
+    room = room_of(corners, up)
     if painted.unit not in (None, unit):
         lines.append(f"the file gives its unit as {painted.unit}, and it is read as {unit}")
     if room is not None and not _ROOMS[0] <= scale * room.height <= _ROOMS[1]:
@@ -384,33 +386,6 @@ def _upright(
             f"numbers may not be {unit}; give --unit"
         )
     return T, lines, fault
-
-
-def _by_faces(shares: dict[str, float], corners: Values, usual: Axis) -> tuple[Axis, bool]:
-    """Return the axis that is up by a mesh's faces alone, and whether what is in it stands low.
-
-    Args:
-        shares: of the area that looks along each axis.
-        corners: (F, 3, 3) of its faces.
-        usual: up in its format, which holds unless more area looks along another clearly.
-    """
-    best = max(shares, key=lambda axis: shares[axis])
-    most = max(share for axis, share in shares.items() if axis[1] == usual[1])
-    line = best[1] if shares[best] > max(_CLEARLY * most, _FLOOR_SHARE) else usual[1]
-    ends = ("+" + line, "-" + line)
-    contents = {end: room_of(corners, _axis(end)) for end in ends}
-    low = [end for end, room in contents.items() if room and room.contents <= _STANDS]
-    # A ceiling is larger than the floor that furniture hides, so area alone decides only where
-    # hardly any faces look the other way.
-    for one, other in (ends, ends[::-1]):
-        if shares[one] > _ALONE * shares[other]:
-            low = low or [one]
-    up: Any = low[0] if len(low) == 1 else ends[0]
-    return up, bool(contents[up] and up in low)
-
-
-def _axis(name: str) -> Values:
-    return (1.0 if name[0] == "+" else -1.0) * np.eye(3)["xyz".index(name[1])]
 
 
 def turn_to_z(up: Values) -> Values:
@@ -442,15 +417,23 @@ def lay_course(
 
     The fault is why no robot can start there, and what to do; None = one can.
     """
+    rays = RayScene(mesh)
+    ground = walkable(mesh, rays)
+    # A roof is larger than what a robot reaches below it.
+    room = room_of(mesh.triangles, np.array([0.0, 0.0, 1.0]))
+    region = ground.largest(None if room is None else room.floor)
     if trail is not None:
-        route, words = _given(mesh, trail, task or "open")
+        floor = float(np.median(mesh.vertices[:, 2])) if region is None else ground.height(region)
+        route, words = _given(mesh, rays, floor, trail, task or "open")
     else:
-        course = _proposed(mesh)
+        course, reach = None, 0.0
+        if region is not None:
+            course, reach = _proposed(mesh, rays, ground, region)
         if course is None:
-            fault = "no two metres of even ground, so the course is one waypoint a metre ahead"
-            return _placeholder(mesh, task or "open"), [], f"{fault}: {_FLOOR}"
-        route, words = _straight(mesh, *course, task or "open")
-    tilt = _tilt(mesh, route)
+            fault = f"no course: {_why_none(ground, region, reach)}: it is one waypoint ahead"
+            return _placeholder(mesh, task or "open"), [], f"{fault}; {_FLOOR}"
+        route, words = _straight(mesh, rays, *course, task or "open")
+    tilt = _tilt(mesh, rays, route)
     if tilt < _INCLINED:
         return route, [words], None
     fault = f"the ground at the start is inclined by {math.degrees(tilt):.0f} degrees"
@@ -459,13 +442,24 @@ def lay_course(
     return route, [words, f"{fault}; if it is level in truth, {_FLOOR}"], None
 
 
+def _why_none(ground: Walkable, region: int | None, reach: float) -> str:
+    if region is None:
+        return "a robot fits nowhere: no surface of 0.4 x 0.4 m faces up with headroom above it"
+    x, y, _ = ground.points[ground.region == region].mean(axis=0).tolist()
+    return (
+        f"the largest ground on which a robot fits, {ground.areas[region]:.1f} m2 about "
+        f"({x:.1f}, {y:.1f}), has {max(reach, 0.0):.1f} m straight, and 1 m is needed with "
+        f"{_BEHIND:g} m before and behind it"
+    )
+
+
 _FLOOR = (
     "level the floor, `nw-eval scenes level SCENE --floor X,Y,Z X,Y,Z X,Y,Z --propose`, or import "
     "with another --up or --unit"
 )
 
 
-def _tilt(mesh: TriangleMesh, route: Route) -> float:
+def _tilt(mesh: TriangleMesh, rays: RayScene, route: Route) -> float:
     """Return how far the ground within half a metre of the start is inclined, rad.
 
     It is the median of all 10 cm, so that steps and stairs of level treads do not count.
@@ -473,13 +467,15 @@ def _tilt(mesh: TriangleMesh, route: Route) -> float:
     x, y, z = route.spawn
     side = np.linspace(-0.5, 0.5, 11)
     xy = np.stack(np.meshgrid(x + side, y + side), axis=-1).reshape(-1, 2)
-    ground = _ground(mesh, RayScene(mesh), xy, z).reshape(11, 11)
+    ground = _ground(mesh, rays, xy, np.array([[x, y, z]])).reshape(11, 11)
     rises = [np.diff(ground, axis=axis) / 0.1 for axis in (0, 1)]
     known = [each[np.isfinite(each)] for each in rises]
     return math.atan(math.hypot(*(float(np.median(one)) if len(one) else 0.0 for one in known)))
 
 
-def _straight(mesh: TriangleMesh, points: Values, yaw: float, task: Task) -> tuple[Route, str]:
+def _straight(
+    mesh: TriangleMesh, rays: RayScene, points: Values, yaw: float, task: Task
+) -> tuple[Route, str]:
     """Return a proposed way (K, 3) as a course, and what is said of it and its ground."""
     far = float(np.linalg.norm(points[-1, :2] - points[0, :2]))
     course = Route(
@@ -488,9 +484,9 @@ def _straight(mesh: TriangleMesh, points: Values, yaw: float, task: Task) -> tup
         spawn=(float(points[0, 0]), float(points[0, 1]), float(points[0, 2])),
         yaw=yaw,
     )
-    x, y, z = course.spawn
+    x, y, _ = course.spawn
     share = np.linspace(0.0, 1.0, max(round(far / _STRIDE), 1) + 1)[:, None]
-    ground = _ground(mesh, RayScene(mesh), points[0, :2] * (1 - share) + points[-1, :2] * share, z)
+    ground = _ground(mesh, rays, points[0, :2] * (1 - share) + points[-1, :2] * share, points)
     known = ground[np.isfinite(ground)]
     rises = np.diff(known)
     even = np.ptp(known) <= _EVEN
@@ -511,18 +507,22 @@ def _placeholder(mesh: TriangleMesh, task: Task) -> Route:
     return Route(task=task, trail=np.array([[x + 1.0, y, z]]), spawn=(x, y, z))
 
 
-def _given(mesh: TriangleMesh, trail: Sequence[tuple[float, ...]], task: Task) -> tuple[Route, str]:
+def _given(
+    mesh: TriangleMesh,
+    rays: RayScene,
+    reference: float,
+    trail: Sequence[tuple[float, ...]],
+    task: Task,
+) -> tuple[Route, str]:
     if len(trail) < 2 or len(trail) > limits.WAYPOINTS + 1:
         raise UsageError(
             f"--trail has {len(trail)} points",
             fix="give the start and then the waypoints: --trail 0,0 1.5,0 3,0",
         )
-    rays = RayScene(mesh)
-    reference = _floor_height(mesh)
     points: list[Values] = []
     for i, point in enumerate(trail):
         z = reference if len(point) == 2 else point[2]
-        ground = float(_ground(mesh, rays, np.array([point[:2]]), z)[0])
+        ground = float(_ground(mesh, rays, np.array([point[:2]]), np.array([[*point[:2], z]]))[0])
         if not math.isfinite(ground):
             ground = float(rays.height(np.array([point[:2]]))[0])
         if not math.isfinite(ground):
@@ -547,62 +547,39 @@ def _given(mesh: TriangleMesh, trail: Sequence[tuple[float, ...]], task: Task) -
     return course, f"course of {len(points) - 1} waypoints, laid on the ground as given"
 
 
-def _floor_height(mesh: TriangleMesh) -> float:
-    """Return the height at which most of the ground lies, metres; in a room, that of its floor."""
-    corners = mesh.triangles
-    room = room_of(corners, np.array([0.0, 0.0, 1.0]))
-    if room is not None:
-        return room.floor
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(normal, axis=1)
-    is_floor = normal[:, 2] > _LEVEL * area
-    if not is_floor.any():
-        is_floor = normal[:, 2] > 0.0
-    if not is_floor.any():
-        return float(np.median(mesh.vertices[:, 2]))
-    z = corners[is_floor, :, 2].mean(axis=1)
-    bins = np.round(z / 0.1).astype(np.int64)
-    low = int(bins.min())
-    if int(bins.max()) - low > 1_000_000:
-        return float(np.median(z))
-    most = int(np.bincount(bins - low, weights=area[is_floor]).argmax())
-    return float(np.median(z[bins - low == most]))
-
-
-def _ground(mesh: TriangleMesh, rays: RayScene, xy: Values, z: float) -> Values:
-    """Return the ground (N,) that a robot at height z walks on, as terrain has it; nan for none."""
+def _ground(mesh: TriangleMesh, rays: RayScene, xy: Values, course: Values) -> Values:
+    """Return the ground (N,) of a course (K, 3), m, as terrain has it; nan where there is none."""
     from nw_scenes.grid import TerrainOptions
 
-    trail = np.array([[xy[0, 0], xy[0, 1], z]])
-    return Surface(mesh, trail, TerrainOptions(), rays).ground(xy)
+    return Surface(mesh, course, TerrainOptions(), rays).ground(xy)
 
 
-def _proposed(mesh: TriangleMesh) -> tuple[Values, float] | None:
-    """Return start and waypoints (K, 3) of the longest straight way over even ground, and its yaw.
+def _proposed(
+    mesh: TriangleMesh, rays: RayScene, ground: Walkable, number: int
+) -> tuple[tuple[Values, float] | None, float]:
+    """Return start and waypoints (K, 3) of the longest straight way, and its yaw; and its length.
 
-    Of equally long ones, the most even, and of these that along x or y which leads over the middle
-    of the mesh. There is headroom along it.
+    It is in a region on which a robot fits, with headroom along it. Of equally long ways it is the
+    most even, and of these that along x or y which leads over the middle of the region.
     """
-    rays = RayScene(mesh)
-    floor = _floor_height(mesh)
-    low, high = np.percentile(mesh.vertices[:, :2], [2, 98], axis=0)
+    floor = ground.height(number)
+    region = ground.points[ground.region == number]
+    low, high = region[:, :2].min(axis=0), region[:, :2].max(axis=0)
     spread = max(float((high - low).max()) / 24.0, 0.25)
-    axes = [np.arange(a + spread / 2, b, spread) for a, b in zip(low, high, strict=True)]
-    if any(len(axis) == 0 for axis in axes):
-        return None
-    starts = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    squares = np.floor((region[:, :2] - low) / spread).astype(np.int64)
+    starts = region[np.unique(squares, axis=0, return_index=True)[1]]
     along = np.arange(-_BEHIND, _LONGEST + _BEHIND + _STRIDE / 2, _STRIDE)
     aside = np.array([-_ROOM, 0.0, _ROOM])
     first = round(_BEHIND / _STRIDE)
-    best: tuple[float, float, Values, float] | None = None
-    middle = (low + high) / 2
+    best: tuple[float, Values, float] | None = None
+    longest, middle = 0.0, (low + high) / 2
     for turn in range(16):
         yaw = 2.0 * math.pi * turn / 16
         ahead = np.array([math.cos(yaw), math.sin(yaw)])
         left = np.array([-ahead[1], ahead[0]])
         steps = along[:, None, None] * ahead + aside[None, :, None] * left
-        xy = starts[:, None, None] + steps[None]
-        z = _ground(mesh, rays, xy.reshape(-1, 2), floor).reshape(xy.shape[:3])
+        xy = starts[:, None, None, :2] + steps[None]
+        z = _followed(rays, xy, starts[:, 2], first)
         even = np.abs(np.diff(z, axis=1)) < _STEP  # False beside what is not there.
         even &= np.isfinite(z[:, 1:]) & np.isfinite(z[:, :-1])
         places = np.concatenate([xy, np.nan_to_num(z)[..., None] + _FOOT], axis=-1).reshape(-1, 3)
@@ -610,7 +587,12 @@ def _proposed(mesh: TriangleMesh) -> tuple[Values, float] | None:
         even &= (room.reshape(z.shape) > _HEADROOM)[:, 1:]
         whole = np.logical_and.accumulate(even.all(axis=2), axis=1)
         reach = whole.sum(axis=1) * _STRIDE - 2 * _BEHIND
-        away = np.linalg.norm(starts + _LONGEST / 2 * ahead - middle, axis=1)
+        # Along the course itself a robot fits: through a wall that is a sheet it does not.
+        line = xy[:, first:, 1]
+        fits = np.isfinite(ground.under(number, line.reshape(-1, 2))).reshape(line.shape[:2])
+        reach = np.minimum(reach, np.logical_and.accumulate(fits, axis=1).sum(axis=1) * _STRIDE)
+        longest = max(longest, float(reach.max()))
+        away = np.linalg.norm(starts[:, :2] + _LONGEST / 2 * ahead - middle, axis=1)
         course = z[:, first : first + round(_LONGEST / _STRIDE), 1]
         course = np.where(whole[:, first : first + course.shape[1]], course, np.nan)
         with warnings.catch_warnings():
@@ -620,7 +602,7 @@ def _proposed(mesh: TriangleMesh) -> tuple[Values, float] | None:
         # A bench may be longer than the floor before it.
         off = np.abs(np.nan_to_num(z[:, first, 1]) - floor)
         off = np.clip(2.0 * (off / _ON_FLOOR - 1.0), 0.0, 6.0)
-        score = np.floor(reach / 0.5) - 2.0 * bumps - off
+        score = np.floor(reach / 0.5) - _BUMPY * bumps - off
         score -= 1e-3 * away + 1e-2 * (turn % 4 != 0)
         for i in np.argsort(-score, kind="stable")[:_TRIED].tolist():
             worth = float(score[i])
@@ -633,10 +615,34 @@ def _proposed(mesh: TriangleMesh) -> tuple[Values, float] | None:
             points = np.column_stack([xy[i, rows, 1], z[i, rows, 1]])
             spawn = Spawn(position=(*points[0].tolist(),), yaw=yaw)
             holes, _ = holes_along(mesh, spawn, points[1:], HALF_WIDTH, _BEHIND)
-            # A course without holes is better, however short.
-            worth -= _HOLED if len(holes) else 0.0
+            line = slice(first - first // 2, int(rows[-1]) + first + 1)
+            touched = _ground(mesh, rays, xy[i, line].reshape(-1, 2), points)
+            as_seen = np.abs(touched - z[i, line].ravel()) <= _AS_SEEN  # False where there is none.
+            is_whole = not len(holes) and bool(as_seen.all())
+            # A course without holes, and with nothing over it, is better, however short.
+            worth -= 0.0 if is_whole else _HOLED
             if best is None or worth > best[0]:
-                best = (worth, float(reach[i]), points, yaw)
-            if not len(holes):
+                best = (worth, points, yaw)
+            if is_whole:
                 break
-    return None if best is None else (best[2], best[3])
+    return (None if best is None else best[1:]), longest
+
+
+def _followed(rays: RayScene, xy: Values, heights: Values, first: int) -> Values:
+    """Return the ground (S, L, A) on ways over points (S, L, A, 2), followed from their starts.
+
+    Args:
+        rays: of the mesh.
+        xy: of the ways, `_STRIDE` apart, and beside them.
+        heights: (S,) of the ground at the starts, m.
+        first: number of the start among the points of a way.
+    """
+    z = np.full(xy.shape[:3], np.nan)
+    for order in (range(first, xy.shape[1]), range(first - 1, -1, -1)):
+        above = np.where(np.isfinite(z[:, first, 1]), z[:, first, 1], heights)
+        for place in order:
+            points, start = xy[:, place].reshape(-1, 2), np.repeat(above + _STEP, xy.shape[2])
+            found = rays.height(points, z_from=start).reshape(-1, xy.shape[2])
+            z[:, place] = np.where(np.isfinite(found), found, np.nan)
+            above = np.where(np.isfinite(z[:, place, 1]), z[:, place, 1], above)
+    return z

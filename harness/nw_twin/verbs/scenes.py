@@ -33,7 +33,7 @@ class ImportScan:
     unit: Literal["auto", "m", "cm", "mm", "ft", "in"] = "auto"
     """Unit of the mesh. auto uses the unit in the file's comments, else m."""
     up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
-    """Up axis of the file. auto uses +y for a GLB, else the axis that most of the ground faces."""
+    """Up axis of the file. auto weighs the axes of the format, planes and what stands in rooms."""
     splat: Path | None = None
     """Gaussians of the same scene, exported by the same app: PLY, SPZ, SOG (default: made from the
     mesh's colours)."""

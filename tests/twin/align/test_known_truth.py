@@ -73,4 +73,4 @@ def test_a_single_cue_says_that_it_stands_alone():
     alignment = align(capture(points, straight(rng)), None, options=HEIGHT, say=said.append)
     assert alignment.up_uncertain > 1.5
     (line,) = [line for line in said if line.startswith("up is known to")]
-    assert line.endswith("nine times out of ten: by the cameras and the floor alone")
+    assert line.endswith("degrees (95 %): by the cameras and the floor alone")

@@ -68,7 +68,8 @@ def test_a_room_stands_on_its_floor_and_the_course_lies_there(tmp_path, name, tu
     write(tmp_path / name, *room(roof=roof), turn)
     written = import_scan(tmp_path / name, tmp_path / "mine")
     assert f"up is {up} of the file" in "\n".join(written.lines)
-    assert written.fault is None
+    # What stands in it says so to 89 %: a file with -y up is asked about.
+    assert written.fault is None or (up == "-y" and f"degrees of {up} 89%" in written.fault)
     scene = load_folder(tmp_path / "mine")
     # z = 0 is the floor: tables are above it, and the ceiling 2.6 m; a roof is 0.2 m higher.
     low, high = scene.static_mesh.vertices.min(axis=0), scene.static_mesh.vertices.max(axis=0)
@@ -79,7 +80,7 @@ def test_a_room_stands_on_its_floor_and_the_course_lies_there(tmp_path, name, tu
 def test_a_glb_that_is_upside_down_is_not_ready_until_its_up_axis_is_given(tmp_path):
     write(tmp_path / "a.glb", *room(), UPSIDE_DOWN @ Y_UP)
     written = import_scan(tmp_path / "a.glb", tmp_path / "mine")
-    assert re.search("by its faces up is -y.*low, against glTF's", written.fault)
+    assert re.search(r"known to 180 degrees only: within 20 degrees of \+y \d+%, -y", written.fault)
     written = import_scan(tmp_path / "a.glb", tmp_path / "told", ScanOptions(up="-y"))
     assert written.fault is None
     assert errors_of(tmp_path / "told") == []
@@ -133,7 +134,7 @@ def test_a_proposed_course_says_what_its_ground_is_like(tmp_path):
     way = np.vstack([scene.spawn.position, scene.trail])
     rise = float(words.split("rises by ")[1].split(" m")[0])
     assert rise >= np.diff(way[:, 2]).clip(0).sum() - 0.02
-    assert rise > 0.05
+    assert rise + float(words.split("falls by ")[1].split(" m")[0]) > 0.05
     for measured in ("check: roughness:", "check: steps:", "check: for the legs of go1: steps of"):
         assert measured in said
     points[:, 2] = 0
@@ -149,7 +150,8 @@ def test_of_equally_long_courses_the_most_even_is_proposed(tmp_path):
     write(tmp_path / "a.ply", points, faces)
     written = import_scan(tmp_path / "a.ply", tmp_path / "mine")
     assert "straight over even ground" in "\n".join(written.lines)
-    assert load_folder(tmp_path / "mine").trail[:, 1].max() < 0.3
+    scene = load_folder(tmp_path / "mine")
+    assert np.ptp([scene.spawn.position[2], *scene.trail[:, 2]]) < 0.05
 
 
 def test_the_unit_of_a_file_and_the_height_of_its_rooms_are_compared_with_the_options(tmp_path):

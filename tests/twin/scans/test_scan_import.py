@@ -175,7 +175,7 @@ def test_a_texture_that_is_no_picture_is_said_and_the_rest_is_made(tmp_path):
     assert np.abs(colours - 1.0).max() < 0.05
 
 
-def test_up_is_that_of_gltf_and_else_the_axis_that_the_floor_looks_along(tmp_path):
+def test_up_is_by_the_planes_of_a_mesh_where_its_format_contradicts_them(tmp_path):
     points, _, _ = ground()
     scanned(points @ Y_UP.T).export(tmp_path / "y-up.stl")
     written = import_scan(tmp_path / "y-up.stl", tmp_path / "y")
@@ -183,33 +183,39 @@ def test_up_is_that_of_gltf_and_else_the_axis_that_the_floor_looks_along(tmp_pat
     assert errors_of(written.folder) == []
     scanned(points).export(tmp_path / "z-up.glb")
     written = import_scan(tmp_path / "z-up.glb", tmp_path / "z")
-    assert "up is +y of the file: 0 % of its area faces along it" in "\n".join(written.lines)
-    assert "by its faces up is +z" in written.fault
-    assert "give --up +z, or --up +y" in written.fault
-    written = import_scan(tmp_path / "z-up.glb", tmp_path / "told", ScanOptions(up="+z"))
-    assert errors_of(written.folder) == []
+    assert "up is +z of the file: 97 % of its area faces along it" in "\n".join(written.lines)
+    assert any("glTF has +y up by its standard: the planes" in line for line in written.lines)
+    assert written.fault is None
     written = import_scan(tmp_path / "z-up.glb", tmp_path / "wall", ScanOptions(up="+y"))
-    assert "no two metres of even ground" in written.fault
+    assert any("and what stands on them, up is +z (" in line for line in written.lines)
+    assert "no course: a robot fits nowhere" in written.fault
 
 
-@pytest.mark.parametrize(
-    ("degrees", "trail", "end"),
-    [
-        (0, None, "ready: nw-eval scenes check {0}"),
-        (14, None, "ready: nw-eval scenes check {0}"),
-        (35, None, "not ready: the ground at the start is inclined by 35 degrees: level the floor"),
-        (35, ((0.0, 0.0), (1.0, 0.0)), "`nw-eval scenes level {0} --floor X,Y,Z X,Y,Z X,Y,Z"),
-    ],
-)
-def test_a_scan_is_ready_where_the_ground_at_its_start_is_level(tmp_path, degrees, trail, end):
+@pytest.mark.parametrize("degrees", [14, 35])
+def test_a_scan_whose_planes_agree_is_laid_level_whatever_its_axes_are(tmp_path, degrees):
     mesh = scanned(ground()[0])
     mesh.apply_transform(rotation_matrix(np.radians(degrees), [0.3, 1, 0]))
     mesh.export(tmp_path / "scan.ply")
-    written = import_scan(tmp_path / "scan.ply", tmp_path / "mine", ScanOptions(trail=trail))
-    assert end.format(tmp_path / "mine") in scan_lines(written).splitlines()[-1]
-    assert any("inclined by 14 degrees; if it is" in line for line in written.lines) == (
-        degrees == 14
-    )
+    written = import_scan(tmp_path / "scan.ply", tmp_path / "mine")
+    assert written.fault is None
+    assert any(f", {degrees}.0 degrees from +z: " in line for line in written.lines)
+    scene = load_folder(tmp_path / "mine")
+    assert np.abs(scene.trail[:, 2] - scene.spawn.position[2]).max() < 0.11
+    heights = np.sort(scene.static_mesh.vertices[:, 2])
+    assert np.ptp(heights) == pytest.approx(0.1, abs=1e-3)  # The step, and nothing else.
+
+
+def test_a_scan_of_one_slope_is_not_ready_until_somebody_says_which_way_is_up(tmp_path):
+    points, faces = grid((-0.5, -1, 0), (4, 0, 0), (0, 2, 0), (40, 20))
+    for degrees in (14, 35):
+        turn = rotation_matrix(np.radians(degrees), [0.3, 1, 0])
+        mesh = trimesh.Trimesh(moved_points(turn, points), faces, process=False)
+        mesh.export(tmp_path / "scan.ply")
+        written = import_scan(tmp_path / "scan.ply", tmp_path / f"mine{degrees}")
+        assert "degrees only: within 20 degrees of " in written.fault
+        assert f"nw-eval scenes level {tmp_path / f'mine{degrees}'}" in scan_lines(written)
+    told = import_scan(tmp_path / "scan.ply", tmp_path / "told", ScanOptions(up="+z"))
+    assert "the ground at the start is inclined by 35 degrees: level the floor" in told.fault
 
 
 def test_a_scan_on_a_map_is_moved_to_the_origin_and_one_of_another_unit_is_not_taken(tmp_path):
