@@ -113,10 +113,12 @@ class DrawnTargets:
         places = [own[name].joint for name in asked]
         self.is_joint = np.array([place is not None for place in places], dtype=bool)
         self._places = np.array([place for place in places if place is not None], dtype=np.intp)
-        low, high = np.array(list(asked.values())).T
-        # A row for each time: a longer trial begins as a shorter one.
+        low, high = np.array(list(asked.values())).reshape(-1, 2).T
+        # A row for each time: a longer trial begins as a shorter one. A stream for each name: what
+        # else another policy can be asked for changes nothing, should it take over.
         count = int((seconds + _TINY) / targets.every) + 1
-        self._drawn = low + streams.generator("targets").random((count, len(asked))) * (high - low)
+        drawn = [streams.generator(f"targets {name}").random(count) for name in asked]
+        self._drawn = low + np.array(drawn).reshape(-1, count).T * (high - low)
 
     def at(self, seconds: float) -> Array:
         """Return what is asked for at a time since the start, (N,)."""

@@ -112,6 +112,13 @@ def test_values_are_those_of_the_trial_s_own_seed_whatever_its_length():
     assert asked(long, 140) == asked(short, 140) != asked(other, 140)
 
 
+def test_what_else_a_policy_can_be_asked_for_changes_no_value():
+    task, fewer = begun(), begun({**TASK, "targets": {**TASK["targets"], "of": {"*_hip": 0.3}}})
+    assert "height" not in asked(fewer, 75)
+    alone = begun({**TASK, "targets": {**TASK["targets"], "of": {"height": [0.2, 0.3]}}})
+    assert asked(alone, 75)["height"] == asked(task, 75)["height"]
+
+
 def test_joints_move_by_the_difference_from_the_card_s_own_angle():
     task = begun()
     task.step = 60
