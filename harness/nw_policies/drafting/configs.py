@@ -36,9 +36,10 @@ from nw_policies.drafting.humanoidverse import (
     read_deployment,
     read_training,
 )
-from nw_policies.drafting.layouts import LEG_BY_LEG, RIGHT_FIRST, TYPE_BY_TYPE
+from nw_policies.drafting.layouts import LEG_BY_LEG, RIGHT_FIRST, TERM_OF
 from nw_policies.drafting.makers import is_booster, is_limx, read_booster, read_limx
 from nw_policies.drafting.motors import motor_groups
+from nw_policies.drafting.orders import isaac_lab_order
 from nw_policies.drafting.patterns import Patterns
 from nw_policies.drafting.tracking import MOTION_COMMAND
 from nw_scenes.robots import RobotSpec
@@ -236,7 +237,7 @@ def _descriptors(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetada
         action_clip=action.limits("clip"),
         rate=scene.per_second("dt"),
         physics_rate=scene.per_second("physics_dt"),
-        observation_terms=tuple(_described_term(_dict(term)) for term in terms),
+        observation_terms=tuple(_described_term(_dict(term), names) for term in terms),
         notes=(
             *_action_notes(
                 str(action.get("full_path")),
@@ -248,14 +249,28 @@ def _descriptors(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetada
     )
 
 
-def _described_term(term: Data) -> ExportedTerm:
+def _places(theirs: Sequence[str], names: Sequence[str]) -> tuple[int, ...]:
+    """Return where the joints of a term stand among those of the action; empty where alike."""
+    one, other = [*map(short_name, theirs)], [*map(short_name, names)]
+    if one == other or sorted(one) != sorted(other):
+        return ()
+    return tuple(other.index(name) for name in one)
+
+
+def _is_of_joints(term: ExportedTerm) -> bool:
+    known = TERM_OF.get(term.function) or TERM_OF.get(term.name)
+    return known is not None and known[0] in {"joint_pos", "joint_vel"}
+
+
+def _described_term(term: Data, names: Sequence[str]) -> ExportedTerm:
     sizes = term.numbers("shape")
     read = _manager_term(
         str(term.get("name")),
         term.below("overloads"),
         function=str(term.get("full_path")).rpartition(".")[2],
     )
-    return replace(read, width=int(math.prod(sizes)) if sizes else None)
+    places = _places(term.texts("joint_names"), names)
+    return replace(read, width=int(math.prod(sizes)) if sizes else None, select=places)
 
 
 def _legged_rl_deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
@@ -400,6 +415,8 @@ def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMet
 _GYM_TERMS = ("ang_vel", "projected_gravity", "commands", "dof_pos", "dof_vel", "actions")
 _OTHER_GYM_TERMS = ("commands", "projected_gravity", "ang_vel", "dof_pos", "dof_vel", "actions")
 """Of go2_deploy, which deploys what LeggedGym-Ex trains."""
+_HIM_TERMS = ("commands", "ang_vel", "projected_gravity", "dof_pos", "dof_vel", "actions")
+"""Of HIMLoco and forks with a deploy script."""
 
 
 def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
@@ -428,10 +445,17 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
         (),
     )
     size = whole if size is None else size
+    terms_of_script = _OTHER_GYM_TERMS if is_other else _GYM_TERMS
+    order = "oldest_first"
+    frame, frames = data.number("num_obs_current"), data.number("num_obs_encoder")
+    if frame and frames and frames % frame == 0:
+        # HIMLoco's estimator sees several frames, its actor the newest of them.
+        size, steps, order = frame, int(frames / frame), "newest_first"
+        terms_of_script = _HIM_TERMS
     if size in {steps * (9 + 3 * joints), steps * (11 + 3 * joints)}:
         size /= steps  # Some count all frames.
     term = ExportedTerm(
-        name="", clip=(-math.inf, math.inf), history=steps, form="order: oldest_first, by: step"
+        name="", clip=(-math.inf, math.inf), history=steps, form=f"order: {order}, by: step"
     )
     terms = [
         replace(
@@ -441,7 +465,7 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
             width=joints if name in {"dof_pos", "dof_vel", "actions"} else 3,
             keys="clipped: true" if name == "actions" and clip else "",
         )
-        for name in (_OTHER_GYM_TERMS if is_other else _GYM_TERMS)
+        for name in terms_of_script
     ]
     if size == 11 + 3 * joints:
         # Sine and cosine of a phase of 0.8 s, as its deploy scripts have it.
@@ -629,14 +653,19 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
     commands = data.below("commands")
     motions = [name for name in commands if "anchor_body_name" in commands.below(name)]
     motion = commands.below(motions[0]) if motions else Fields()
+    action_names, is_guess = _joint_order(action, robot)
+    # A listed order is the action's alone: other terms are in the simulator's.
+    is_listed = not is_guess and "isaaclab" in str(action.get("class_type"))
+    simulators = isaac_lab_order(robot) if is_listed else ()
     for name, words in group.items():
         term = _dict(words)
         if "func" in term:
             function = re.split(r"[.:]", str(term["func"]))[-1]
             asset_cfg = term.below("params").below("asset_cfg")
+            theirs = simulators
             if asset_cfg.get("preserve_order") is True and "joint_names" in asset_cfg:
-                listed_joints = asset_cfg["joint_names"]
-                if listed_joints != action.get("joint_names"):
+                listed_joints, theirs = asset_cfg["joint_names"], asset_cfg.texts("joint_names")
+                if listed_joints != action.get("joint_names") and not _places(theirs, action_names):
                     notes.append(f"{name} lists joints in an order of its own: {listed_joints}")
             command = str(term.below("params").get("command_name"))
             if function == "generated_commands" and command in motions:
@@ -645,15 +674,16 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
             grid, other = _grid_of(scene, term.below("params"))
             notes += [f"{name} has what a card's scan has not: {each}" for each in other]
             width = described.width if grid is None else grid.x[2] * grid.y[2]
-            terms.append(replace(described, grid=grid, width=width))
-    names, is_guess = _joint_order(action, robot)
-    patterns = Patterns(names)
+            places = _places(theirs, action_names) if _is_of_joints(described) else ()
+            terms.append(replace(described, grid=grid, width=width, select=places))
     # Isaac Lab names groups of motors; mjlab lists them.
     inner = asset.below("articulation")
     listed = (inner if "actuators" in inner else asset).get("actuators")
     groups_of_motors = [
         _dict(motor) for motor in (listed if isinstance(listed, list) else _dict(listed).values())
     ]
+    names = _with_motors(action_names, groups_of_motors)
+    patterns = Patterns(names)
     simulation = data.below("sim")
     step = simulation.number("dt") or simulation.below("mujoco").number("timestep")
     motors, motor_notes = motor_groups(groups_of_motors, patterns, physics_rate=per_second(step))
@@ -668,7 +698,7 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
         joint_names=names if known else (),
         joint_stiffness=patterns.motors(groups_of_motors, "stiffness"),
         joint_damping=patterns.motors(groups_of_motors, "damping"),
-        default_joint_pos=(pose := patterns.values(state, "joint_pos")),
+        default_joint_pos=(pose := patterns.values(state, "joint_pos", default=0.0)),
         torque_limits=patterns.motors(groups_of_motors, "effort_limit"),
         armature=patterns.motors(groups_of_motors, "armature"),
         friction_loss=_friction(patterns, groups_of_motors),
@@ -749,15 +779,16 @@ def _direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Expo
     """
     asset = data.below("robot")
     names, is_guess = _joint_order(Fields({"class_type": "isaaclab"}), robot)
-    patterns = Patterns(names)
     groups = [_dict(motor) for motor in asset.below("actuators").values()]
+    names = _with_motors(names, groups)
+    patterns = Patterns(names)
     step, every = data.below("sim").number("dt"), data.number("decimation")
     motors, motor_notes = motor_groups(groups, patterns, physics_rate=per_second(step))
     return ExporterMetadata(
         joint_names=names,
         joint_stiffness=patterns.motors(groups, "stiffness"),
         joint_damping=patterns.motors(groups, "damping"),
-        default_joint_pos=patterns.values(asset.below("init_state"), "joint_pos"),
+        default_joint_pos=patterns.values(asset.below("init_state"), "joint_pos", default=0.0),
         torque_limits=patterns.motors(groups, "effort_limit"),
         armature=patterns.motors(groups, "armature"),
         friction_loss=_friction(patterns, groups),
@@ -792,6 +823,17 @@ def _one_of(limits: Data) -> tuple[float, float] | None:
     return ranges.pop() if len(ranges) == 1 else None
 
 
+def _with_motors(names: tuple[str, ...], groups: Sequence[Data]) -> tuple[str, ...]:
+    """Return the joints that a motor drives; all where that is none of them.
+
+    A training of some joints has a model without the others, and no motors for these.
+    """
+    by_group = [Patterns(names).names_of(group) for group in groups]
+    if not all(by_group):  # Patterns of a group are not understood.
+        return names
+    return tuple(name for name in names if any(name in own for own in by_group)) or names
+
+
 def _joint_order(action: Data, robot: RobotSpec) -> tuple[tuple[str, ...], bool]:
     """Return the joints of the action, and whether their order is a guess."""
     own = [short_name(joint) for joint in robot.joints]
@@ -799,8 +841,7 @@ def _joint_order(action: Data, robot: RobotSpec) -> tuple[tuple[str, ...], bool]
     if sorted(listed) == sorted(own) and action.get("preserve_order") is True:
         return tuple(listed), False
     is_lab = "isaaclab" in str(action.get("class_type"))
-    known = is_lab and sorted(own) == sorted(TYPE_BY_TYPE)
-    return (TYPE_BY_TYPE if known else tuple(own)), True
+    return (isaac_lab_order(robot) if is_lab else tuple(own)), True
 
 
 def _agent(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:
