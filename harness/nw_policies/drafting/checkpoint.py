@@ -385,7 +385,7 @@ def _onnx(data: bytes, path: Path, sha256: str) -> CheckpointFacts:
         inputs=tuple(array for array in inputs if array.name not in state),
         outputs=tuple(array for array in outputs if array.name not in state.values()),
         recurrent=tuple(f"{source} -> {target}" for source, target in state.items()),
-        tensors=tuple(TensorFacts(name=name, shape=()) for name in declared.weights),
+        tensors=tuple(TensorFacts(name=name, shape=(), dtype="") for name in declared.weights),
         metadata=metadata,
         exporter=(
             _holosoma(metadata, sum(array.shape[-1] or 0 for array in inputs if array.shape) - 1)
