@@ -105,6 +105,8 @@ class ExportedTerm:
     """Of a scan of heights."""
     own: str = ""
     """Its term on a card, where the reader of the file knows it with `width` and `keys`."""
+    select: tuple[int, ...] = ()
+    """Places of its joints in the action's order, where its own is another."""
     keeps_one: bool = False
     """Whether a history of one frame is a history: the frame is not the present one."""
 
@@ -208,6 +210,8 @@ class CheckpointFacts:
     """What the code of a TorchScript file says that it takes, without shapes."""
     taken: int = 0
     """Numbers of a row of zeros that its one input was seen to take; 0 where it was not run."""
+    joints: int = 12
+    """Of the robot that it drives, by which published layouts are found."""
     outputs: tuple[ArrayFacts, ...] = ()
     recurrent: tuple[str, ...] = ()
     """Names of the state that it carries from step to step."""
@@ -381,6 +385,7 @@ def _onnx(data: bytes, path: Path, sha256: str) -> CheckpointFacts:
         inputs=tuple(array for array in inputs if array.name not in state),
         outputs=tuple(array for array in outputs if array.name not in state.values()),
         recurrent=tuple(f"{source} -> {target}" for source, target in state.items()),
+        tensors=tuple(TensorFacts(name=name, shape=(), dtype="") for name in declared.weights),
         metadata=metadata,
         exporter=(
             _holosoma(metadata, sum(array.shape[-1] or 0 for array in inputs if array.shape) - 1)

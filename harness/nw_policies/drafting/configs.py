@@ -295,6 +295,10 @@ _OTHER_GYM_TERMS = ("commands", "projected_gravity", "ang_vel", "dof_pos", "dof_
 """Of go2_deploy, which deploys what LeggedGym-Ex trains."""
 
 
+_HIM_TERMS = ("commands", "ang_vel", "projected_gravity", "dof_pos", "dof_vel", "actions")
+"""Of HIMLoco and forks with a deploy script."""
+
+
 def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
     """Read the deploy configs of unitree_rl_gym, its forks, and of go2_deploy.
 
@@ -321,10 +325,17 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
         (),
     )
     size = whole if size is None else size
+    terms_of_script = _OTHER_GYM_TERMS if is_other else _GYM_TERMS
+    order = "oldest_first"
+    frame, frames = data.number("num_obs_current"), data.number("num_obs_encoder")
+    if frame and frames and frames % frame == 0:
+        # HIMLoco's estimator sees several frames, its actor the newest of them.
+        size, steps, order = frame, int(frames / frame), "newest_first"
+        terms_of_script = _HIM_TERMS
     if size in {steps * (9 + 3 * joints), steps * (11 + 3 * joints)}:
         size /= steps  # Some count all frames.
     term = ExportedTerm(
-        name="", clip=(-math.inf, math.inf), history=steps, form="order: oldest_first, by: step"
+        name="", clip=(-math.inf, math.inf), history=steps, form=f"order: {order}, by: step"
     )
     terms = [
         replace(
@@ -334,7 +345,7 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
             width=joints if name in {"dof_pos", "dof_vel", "actions"} else 3,
             keys="clipped: true" if name == "actions" and clip else "",
         )
-        for name in (_OTHER_GYM_TERMS if is_other else _GYM_TERMS)
+        for name in terms_of_script
     ]
     if size == 11 + 3 * joints:
         # Sine and cosine of a phase of 0.8 s, as its deploy scripts have it.

@@ -48,6 +48,7 @@ from nw_policies.drafting.notation import (
     quoted,
     slug,
 )
+from nw_policies.drafting.orders import isaac_lab_order
 from nw_policies.drafting.some_joints import (
     commanded_lines,
     driven_joints,
@@ -118,7 +119,7 @@ def write_card_draft(
         robot, known = of_joints(robot, part), known_of(known, part)
     refuse_another_robot(facts, known, robot)
     known = known and believed(known, robot)
-    facts = replace(facts, exporter=known)
+    facts = replace(facts, exporter=known, joints=len(robot.joints))
     network = trained_network(facts, len(robot.joints)) if facts.adapter is None else None
     if network is not None:
         size = ArrayFacts(name="obs", shape=(1, network.layers[0].inputs), dtype="float32")
@@ -226,7 +227,8 @@ def draft_of(
         UsageError: there is no such robot.
     """
     know_robot(robot, None if robot_folder is None else Path(robot_folder))
-    facts = replace(inspect_checkpoint(Path(checkpoint)), taken=taken)
+    joints = len(get_robot(robot).joints)
+    facts = replace(inspect_checkpoint(Path(checkpoint)), taken=taken, joints=joints)
     text = write_card_draft(
         facts,
         get_robot(robot),
@@ -559,9 +561,8 @@ def _motor_limits(known: ExporterMetadata, robot: RobotSpec) -> list[str]:
 def published(frame: Frame, robot: RobotSpec) -> dict[str, str]:
     """Return the actions and motors of a layout's training, as lines of a card."""
     own = [short_name(joint) for joint in robot.joints]
-    joints = frame.joints or own
-    is_of_them = sorted(joints) == sorted(own)
-    values = {"joints": f"[{', '.join(joints if is_of_them else own)}]"}
+    is_of_them = sorted(frame.joints or own) == sorted(own)
+    values = {"joints": f"[{', '.join(_ordered(frame, robot) or own)}]"}
     if is_of_them or "{" not in frame.scale:
         values["scale"] = frame.scale
     if frame.clip is not None:
@@ -576,6 +577,13 @@ def published(frame: Frame, robot: RobotSpec) -> dict[str, str]:
     return values
 
 
+def _ordered(frame: Frame, robot: RobotSpec) -> tuple[str, ...]:
+    """Return a robot's joints as a layout's training counts them; empty where that is unknown."""
+    if sorted(frame.joints) == sorted(short_name(joint) for joint in robot.joints):
+        return frame.joints
+    return isaac_lab_order(robot) if frame.family == "isaac-lab" else ()
+
+
 def _joints(known: ExporterMetadata, robot: RobotSpec, frame: Frame | None) -> list[str]:
     own = [short_name(joint) for joint in robot.joints]
     names = [short_name(name) for name in known.joint_names]
@@ -585,7 +593,7 @@ def _joints(known: ExporterMetadata, robot: RobotSpec, frame: Frame | None) -> l
             source = f"  {CHECK} the order of the checkpoint: {known.sources['joint_names']} "
             source += "names no order"
         return [f"  joints: [{', '.join(names)}]{source}"]
-    if frame is not None and sorted(frame.joints or ()) == sorted(own):
+    if frame is not None and _ordered(frame, robot):
         return [f"  joints: {published(frame, robot)['joints']}  {CHECK} as {frame.name}"]
     return [f"  joints: [{', '.join(own)}]  {CHECK} the order of the checkpoint"]
 

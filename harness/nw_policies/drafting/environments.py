@@ -15,8 +15,9 @@ from typing import Any, cast
 from nw_policies.cards.joints import short_name
 from nw_policies.drafting.checkpoint import ExportedTerm, ExporterMetadata, HeightGrid
 from nw_policies.drafting.fields import Fields, per_second
-from nw_policies.drafting.layouts import TYPE_BY_TYPE
+from nw_policies.drafting.layouts import TERM_OF
 from nw_policies.drafting.motors import motor_groups
+from nw_policies.drafting.orders import isaac_lab_order
 from nw_policies.drafting.patterns import Patterns, reordered
 from nw_policies.drafting.tracking import MOTION_COMMAND
 from nw_scenes.robots import RobotSpec
@@ -122,7 +123,7 @@ def read_descriptors(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMe
         action_clip=action.limits("clip"),
         rate=scene.per_second("dt"),
         physics_rate=scene.per_second("physics_dt"),
-        observation_terms=tuple(_described_term(fields_of(term)) for term in terms),
+        observation_terms=tuple(_described_term(fields_of(term), names) for term in terms),
         notes=(
             *action_notes(
                 str(action.get("full_path")),
@@ -134,14 +135,28 @@ def read_descriptors(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMe
     )
 
 
-def _described_term(term: Data) -> ExportedTerm:
+def _places(theirs: Sequence[str], names: Sequence[str]) -> tuple[int, ...]:
+    """Return where the joints of a term stand among those of the action; empty where alike."""
+    one, other = [*map(short_name, theirs)], [*map(short_name, names)]
+    if one == other or sorted(one) != sorted(other):
+        return ()
+    return tuple(other.index(name) for name in one)
+
+
+def _is_of_joints(term: ExportedTerm) -> bool:
+    known = TERM_OF.get(term.function) or TERM_OF.get(term.name)
+    return known is not None and known[0] in {"joint_pos", "joint_vel"}
+
+
+def _described_term(term: Data, names: Sequence[str]) -> ExportedTerm:
     sizes = term.numbers("shape")
     read = manager_term(
         str(term.get("name")),
         term.below("overloads"),
         function=str(term.get("full_path")).rpartition(".")[2],
     )
-    return replace(read, width=int(math.prod(sizes)) if sizes else None)
+    places = _places(term.texts("joint_names"), names)
+    return replace(read, width=int(math.prod(sizes)) if sizes else None, select=places)
 
 
 def read_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
@@ -160,14 +175,19 @@ def read_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Exporte
     commands = data.below("commands")
     motions = [name for name in commands if "anchor_body_name" in commands.below(name)]
     motion = commands.below(motions[0]) if motions else Fields()
+    action_names, is_guess = _joint_order(action, robot)
+    # A listed order is the action's alone: other terms are in the simulator's.
+    is_listed = not is_guess and "isaaclab" in str(action.get("class_type"))
+    simulators = isaac_lab_order(robot) if is_listed else ()
     for name, words in group.items():
         term = fields_of(words)
         if "func" in term:
             function = re.split(r"[.:]", str(term["func"]))[-1]
             asset_cfg = term.below("params").below("asset_cfg")
+            theirs = simulators
             if asset_cfg.get("preserve_order") is True and "joint_names" in asset_cfg:
-                listed_joints = asset_cfg["joint_names"]
-                if listed_joints != action.get("joint_names"):
+                listed_joints, theirs = asset_cfg["joint_names"], asset_cfg.texts("joint_names")
+                if listed_joints != action.get("joint_names") and not _places(theirs, action_names):
                     notes.append(f"{name} lists joints in an order of its own: {listed_joints}")
             command = str(term.below("params").get("command_name"))
             if function == "generated_commands" and command in motions:
@@ -176,9 +196,8 @@ def read_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Exporte
             grid, other = _grid_of(scene, term.below("params"))
             notes += [f"{name} has what a card's scan has not: {each}" for each in other]
             width = described.width if grid is None else grid.x[2] * grid.y[2]
-            terms.append(replace(described, grid=grid, width=width))
-    names, is_guess = _joint_order(action, robot)
-    patterns = Patterns(names)
+            places = _places(theirs, action_names) if _is_of_joints(described) else ()
+            terms.append(replace(described, grid=grid, width=width, select=places))
     # Isaac Lab names groups of motors; mjlab lists them.
     inner = asset.below("articulation")
     listed = (inner if "actuators" in inner else asset).get("actuators")
@@ -186,6 +205,8 @@ def read_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Exporte
         fields_of(motor)
         for motor in (listed if isinstance(listed, list) else fields_of(listed).values())
     ]
+    names = _with_motors(action_names, groups_of_motors)
+    patterns = Patterns(names)
     simulation = data.below("sim")
     step = simulation.number("dt") or simulation.below("mujoco").number("timestep")
     motors, motor_notes = motor_groups(groups_of_motors, patterns, physics_rate=per_second(step))
@@ -200,7 +221,7 @@ def read_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Exporte
         joint_names=names if known else (),
         joint_stiffness=patterns.motors(groups_of_motors, "stiffness"),
         joint_damping=patterns.motors(groups_of_motors, "damping"),
-        default_joint_pos=(pose := patterns.values(state, "joint_pos")),
+        default_joint_pos=(pose := patterns.values(state, "joint_pos", default=0.0)),
         torque_limits=patterns.motors(groups_of_motors, "effort_limit"),
         armature=patterns.motors(groups_of_motors, "armature"),
         friction_loss=_friction(patterns, groups_of_motors),
@@ -281,15 +302,16 @@ def read_direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> 
     """
     asset = data.below("robot")
     names, is_guess = _joint_order(Fields({"class_type": "isaaclab"}), robot)
-    patterns = Patterns(names)
     groups = [fields_of(motor) for motor in asset.below("actuators").values()]
+    names = _with_motors(names, groups)
+    patterns = Patterns(names)
     step, every = data.below("sim").number("dt"), data.number("decimation")
     motors, motor_notes = motor_groups(groups, patterns, physics_rate=per_second(step))
     return ExporterMetadata(
         joint_names=names,
         joint_stiffness=patterns.motors(groups, "stiffness"),
         joint_damping=patterns.motors(groups, "damping"),
-        default_joint_pos=patterns.values(asset.below("init_state"), "joint_pos"),
+        default_joint_pos=patterns.values(asset.below("init_state"), "joint_pos", default=0.0),
         torque_limits=patterns.motors(groups, "effort_limit"),
         armature=patterns.motors(groups, "armature"),
         friction_loss=_friction(patterns, groups),
@@ -324,6 +346,17 @@ def _one_of(limits: Data) -> tuple[float, float] | None:
     return ranges.pop() if len(ranges) == 1 else None
 
 
+def _with_motors(names: tuple[str, ...], groups: Sequence[Data]) -> tuple[str, ...]:
+    """Return the joints that a motor drives; all where that is none of them.
+
+    A training of some joints has a model without the others, and no motors for these.
+    """
+    by_group = [Patterns(names).names_of(group) for group in groups]
+    if not all(by_group):  # Patterns of a group are not understood.
+        return names
+    return tuple(name for name in names if any(name in own for own in by_group)) or names
+
+
 def _joint_order(action: Data, robot: RobotSpec) -> tuple[tuple[str, ...], bool]:
     """Return the joints of the action, and whether their order is a guess."""
     own = [short_name(joint) for joint in robot.joints]
@@ -331,8 +364,7 @@ def _joint_order(action: Data, robot: RobotSpec) -> tuple[tuple[str, ...], bool]
     if sorted(listed) == sorted(own) and action.get("preserve_order") is True:
         return tuple(listed), False
     is_lab = "isaaclab" in str(action.get("class_type"))
-    known = is_lab and sorted(own) == sorted(TYPE_BY_TYPE)
-    return (TYPE_BY_TYPE if known else tuple(own)), True
+    return (isaac_lab_order(robot) if is_lab else tuple(own)), True
 
 
 def read_agent(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:

@@ -100,7 +100,7 @@ def _likely_widths(facts: CheckpointFacts) -> tuple[list[int], list[int]]:
     # What no layer makes is an input: of 45 -> 512 -> 256 -> 12 that is 45, not the widest.
     sizes = [tensor.shape[1] for tensor in weights if tensor.shape[1] not in outputs]
     sizes = sizes or [tensor.shape[1] for tensor in weights]
-    return [size for size in sizes if frames_of(size)], sizes
+    return [size for size in sizes if frames_of(size, facts.joints)], sizes
 
 
 def widths_to_try(facts: CheckpointFacts) -> tuple[int, ...]:
@@ -116,7 +116,10 @@ def widths_to_try(facts: CheckpointFacts) -> tuple[int, ...]:
     widths = [
         width
         for size in (*known, *sizes)
-        for width in (size, *(frame.size for frame, count in frames_of(size) if count > 1))
+        for width in (
+            size,
+            *(frame.size for frame, count in frames_of(size, facts.joints) if count > 1),
+        )
     ]
     return tuple(dict.fromkeys(widths))[:_TRIES]
 
@@ -176,7 +179,8 @@ def _rows(
 ) -> ObservationDraft:
     """Return an observation of frames that stand on an axis of their own."""
     name, (steps, size) = key(wanted.array.name), (n or 0 for n in shape)
-    last = not terms and bool(frames_of(steps)) and not frames_of(size)
+    of_steps, of_size = (frames_of(each, likely.joints) for each in (steps, size))
+    last = not terms and bool(of_steps) and not of_size
     steps, size = (size, steps) if last else (steps, size)
     # Here the frames of a term are rows, whatever the exporter calls their history.
     parts = _row(name, size, wanted, [replace(term, history=1) for term in terms], likely)

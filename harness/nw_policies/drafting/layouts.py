@@ -25,12 +25,18 @@ TYPE_BY_TYPE = tuple(f"{leg}_{kind}" for kind in _KINDS for leg in _LEGS)
 """The same in Isaac Lab: hips of all legs first."""
 RIGHT_FIRST = tuple(f"{leg}_{kind}" for leg in ("FR", "FL", "RR", "RL") for kind in _KINDS)
 """As Unitree's motors are counted."""
+_QUADRUPED = len(LEG_BY_LEG)
+"""Joints of the robot that the sizes of frames are of."""
 _STRAIGHT_HIPS = "{hip: 0, thigh: 0.8, calf: -1.5}"
 _CLIPPED = "{term: last_output, clipped: true}"
 _LIN_VEL = "{term: lin_vel, scale: 2.0}"
 _ANG_VEL = "{term: ang_vel, scale: 0.25}"
 _COMMAND = "{term: command, scale: [2.0, 2.0, 0.25]}"
 _JOINT_VEL = "{term: joint_vel, scale: 0.05}"
+_TWO_FEET = (
+    "{term: clock, frequency: 1.5, offsets: [0, 0.5], values: [cosine, sine], "
+    "standing: {below: 0.01, phase: 0.5}}"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +75,14 @@ class Frame:
     """Order of a scan of heights behind the frame."""
     scan_scale: float = 1.0
     """Factor of that."""
+    any_robot: bool = False
+    """Whether robots with other than twelve joints are trained so, too."""
+
+    def with_joints(self, joints: int) -> Frame:
+        """Return it for a robot of so many joints, of each of which it has three numbers."""
+        if joints == _QUADRUPED:
+            return self
+        return replace(self, size=self.size + 3 * (joints - _QUADRUPED), joints=(), pose=None)
 
 
 _GYM = Frame(
@@ -82,6 +96,7 @@ _GYM = Frame(
     history="order: oldest_first, by: step",
     scan="y_fastest",
     scan_scale=5.0,
+    any_robot=True,
     size=48,
     terms=(_LIN_VEL, _ANG_VEL, "gravity", _COMMAND, "joint_pos", _JOINT_VEL, _CLIPPED),
 )
@@ -92,6 +107,7 @@ _LAB = Frame(
     family="isaac-lab",
     joints=TYPE_BY_TYPE,
     gains=(25, 0.5),
+    any_robot=True,
     size=48,
     terms=("lin_vel", "ang_vel", "gravity", "command", "joint_pos", "joint_vel", "last_output"),
 )
@@ -150,6 +166,7 @@ FRAMES: tuple[Frame, ...] = (
         family="isaac-lab",
         joints=TYPE_BY_TYPE,
         gains=(25, 0.5),
+        any_robot=True,
         size=45,
         terms=(
             "{term: ang_vel, scale: 0.2}",
@@ -206,16 +223,34 @@ FRAMES: tuple[Frame, ...] = (
         size=47,
         terms=(*_GYM.terms[1:], "{term: clock, frequency: 1.25}"),
     ),
+    Frame(
+        name="playground-biped",
+        source="MuJoCo Playground's bipeds",
+        traits="cosine and sine of the phases of two feet come last; no scales; actions times 0.5",
+        family="mujoco",
+        scale="0.5",
+        any_robot=True,
+        counts=(1,),
+        size=52,
+        terms=(
+            *("lin_vel", "ang_vel", "gravity", "command", "joint_pos", "joint_vel", "last_output"),
+            _TWO_FEET,
+        ),
+    ),
 )
 """The likelier ones of a size first."""
 
 
-def frames_of(size: int) -> tuple[tuple[Frame, int], ...]:
+def frames_of(size: int, joints: int = _QUADRUPED) -> tuple[tuple[Frame, int], ...]:
     """Return known frames that make a vector of `size` numbers, with how many of them it takes.
+
+    Those of a robot with other than twelve joints have other sizes.
 
     Fewer frames come first; among those, layouts that are published with as many.
     """
-    fits = [(frame, size // frame.size) for frame in FRAMES if size % frame.size == 0]
+    of_all = joints == _QUADRUPED
+    frames = [frame.with_joints(joints) for frame in FRAMES if of_all or frame.any_robot]
+    fits = [(frame, size // frame.size) for frame in frames if size % frame.size == 0]
     fits = [(frame, n) for frame, n in fits if n in (frame.counts or range(1, 21))]
     return tuple(sorted(fits, key=lambda fit: (fit[1], fit[1] != fit[0].steps)))
 
@@ -286,12 +321,14 @@ def scan_of(size: int) -> ScanGuess | None:
     return ScanGuess(source="a guess", x=x, y=y)
 
 
-def frames_before_a_scan(size: int) -> tuple[tuple[tuple[Frame, int], ...], ScanGuess | None]:
+def frames_before_a_scan(
+    size: int, joints: int = _QUADRUPED
+) -> tuple[tuple[tuple[Frame, int], ...], ScanGuess | None]:
     """Return known frames that make `size` numbers together with a known grid after them.
 
     Frames of those who measure the grid come first.
     """
     for scan in SCANS:
-        if frames := frames_of(size - scan.size):
+        if frames := frames_of(size - scan.size, joints):
             return tuple(sorted(frames, key=lambda fit: scan.source not in fit[0].source)), scan
     return (), None

@@ -20,11 +20,16 @@ class Patterns:
     def __init__(self, names: Sequence[str]) -> None:
         self.names = tuple(names)
 
-    def values(self, data: Fields, key: str) -> tuple[float, ...]:
-        """Return one number for all joints or one each; empty where some are not said."""
+    def values(self, data: Fields, key: str, *, default: float | None = None) -> tuple[float, ...]:
+        """Return one number for all joints or one each; empty where some are not said.
+
+        `default` is that of joints which no pattern means, where one means any.
+        """
         value = data.get(key)
         if isinstance(value, Fields):
-            by_joint = [_value_of(name, value) for name in self.names]
+            is_theirs = any(_matches(pattern, name) for pattern in value for name in self.names)
+            missing = default if is_theirs else None
+            by_joint = [_value_of(name, value, missing) for name in self.names]
             values = () if None in by_joint else tuple(cast("list[float]", by_joint))
         else:
             values = numbers_of(value)
@@ -74,9 +79,9 @@ class Patterns:
         return tuple(n for n in self.names if any(_matches(pattern, n) for pattern in listed))
 
 
-def _value_of(name: str, values: Fields) -> float | None:
+def _value_of(name: str, values: Fields, default: float | None = None) -> float | None:
     matched = next((pattern for pattern in values if _matches(pattern, name)), "")
-    return values.number(matched)
+    return values.number(matched) if matched else default
 
 
 def _matches(pattern: str, name: str) -> bool:

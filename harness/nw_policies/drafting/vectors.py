@@ -68,6 +68,8 @@ def named_parts(
         else:
             lines = _terms(group, left_out)
             own = f"{name}_motion" if motion_term_of(first) else name
+            if first.select:
+                own = f"{name}_{first.name}"
         if any(part.name == own for part in parts):
             own = f"{own}_{len(parts) + 1}"
         parts.append(ObservationDraft(name=own, lines=tuple(lines)))
@@ -177,7 +179,9 @@ def zeros_note(size: int, what: str = "what the checkpoint really sees") -> str:
 
 
 def _kind(term: ExportedTerm) -> tuple[str, int, bool]:
-    kind = "motion" if motion_term_of(term) else term.name if _is_scan(term) else ""
+    # A card selects from a whole observation, so a term in an order of its own is one.
+    is_apart = _is_scan(term) or term.select
+    kind = "motion" if motion_term_of(term) else term.name if is_apart else ""
     return kind, term.history or 1, term.keeps_one
 
 
@@ -218,8 +222,14 @@ def _terms(group: Sequence[tuple[ExportedTerm, int]], left_out: Sequence[str]) -
             lines[-1] += f"  {CHECK} its {unread} cannot be read"
     if is_motion:
         lines.append(AHEAD)
+    if places := group[0][0].select:
+        listed = ", ".join(map(str, places))
+        lines.append(f"select: [{listed}]  # its joints are in another order than the action's")
     if (steps := group[0][0].history or 1) > 1 or group[0][0].keeps_one:
-        lines.append(f"history: {{steps: {steps}, {group[0][0].form}}}")
+        form = group[0][0].form
+        if group[0][0].select:  # One term's frames stand alike by term and by step.
+            form = form.replace("by: term", "by: step")
+        lines.append(f"history: {{steps: {steps}, {form}}}")
         if any(term.flat_history is False for term, _ in group):
             lines[-1] += f"  {CHECK} the exporter says that its frames are not in one row"
     return lines
@@ -354,22 +364,28 @@ class Likely:
 
     names: tuple[str, ...] = ()
     sign: str = ""
+    joints: int = 12
+    """Of the robot that the checkpoint drives."""
+
+
+_LAB_NAMES = ("isaac-lab", "unitree-rl-lab", "robot-lab")
 
 
 def likely_layouts(facts: CheckpointFacts) -> Likely:
     """Return the layouts whose trainings save a checkpoint like this one."""
     names = {tensor.name for tensor in facts.tensors}
+    likely = Likely()
     if any(name.startswith("estimator.") for name in names):
-        return Likely(names=("himloco",), sign="it has an estimator, as HIMLoco's have")
-    if "0.weight" in names:
-        return Likely(names=("legged-gym",), sign="it is an actor alone, as legged_gym saves it")
-    if "actor.0.weight" in names:
-        return Likely(
-            names=("isaac-lab", "unitree-rl-lab", "robot-lab"), sign="it is saved as in Isaac Lab"
+        likely = Likely(names=("himloco",), sign="it has an estimator, as HIMLoco's have")
+    elif "0.weight" in names and facts.adapter != "onnx":
+        likely = Likely(names=("legged-gym",), sign="it is an actor alone, as legged_gym saves it")
+    elif "actor.0.weight" in names:
+        likely = Likely(names=_LAB_NAMES, sign="it is saved as in Isaac Lab")
+    elif any(array.name == "continuous_actions" for array in facts.outputs):
+        likely = Likely(
+            names=("playground", "playground-biped"), sign="its output is called as Playground's"
         )
-    if any(array.name == "continuous_actions" for array in facts.outputs):
-        return Likely(names=("playground",), sign="its output is called as Playground's")
-    return Likely()
+    return replace(likely, joints=facts.joints)
 
 
 def guessed_parts(
@@ -383,11 +399,11 @@ def guessed_parts(
         reason: how the size is known, for the comment.
         likely: layouts that are taken before others.
     """
-    if is_scan(name) or (not frames_of(size) and any(scan.size == size for scan in SCANS)):
+    fits, scan = frames_of(size, likely.joints), None
+    if is_scan(name) or (not fits and any(scan.size == size for scan in SCANS)):
         return (ObservationDraft(name=name, lines=tuple(scan_lines(size or SCANS[0].size))),)
-    fits, scan = frames_of(size), None
     if not fits:
-        fits, scan = frames_before_a_scan(size)
+        fits, scan = frames_before_a_scan(size, likely.joints)
     note = f"{CHECK} {reason}"
     if not fits:
         note += (

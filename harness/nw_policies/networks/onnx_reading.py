@@ -57,6 +57,8 @@ class DeclaredGraph:
     inputs: tuple[DeclaredArray, ...]
     outputs: tuple[DeclaredArray, ...]
     metadata: dict[str, str]
+    weights: tuple[str, ...] = ()
+    """Names of its constants."""
 
 
 def read_declared(data: bytes) -> DeclaredGraph:
@@ -95,7 +97,8 @@ class _GraphReader:
 
     def declared(self) -> DeclaredGraph:
         (main,) = self._inside(self._model, "graph", "Graph")
-        weights = {tensor.text("name") for tensor in self._inside(main, "initializer", "Tensor")}
+        tensors = self._inside(main, "initializer", "Tensor")
+        weights = dict.fromkeys(tensor.text("name") for tensor in tensors)
         inputs = [self._declared(value) for value in self._inside(main, "input", "ValueInfo")]
         outputs = [self._declared(value) for value in self._inside(main, "output", "ValueInfo")]
         if not all(each.dtype and each.shape for each in outputs):
@@ -105,6 +108,7 @@ class _GraphReader:
             inputs=tuple(each for each in inputs if each.name not in weights),
             outputs=tuple(outputs),
             metadata={entry.text("key"): entry.text("value") for entry in entries},
+            weights=tuple(weights),
         )
 
     def _inferred(self, outputs: list[DeclaredArray]) -> list[DeclaredArray]:

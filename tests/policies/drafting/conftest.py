@@ -10,9 +10,11 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
+from nw_eval.api.policies import init_policy
 from nw_policies import load_bundle, open_policy
 from nw_policies.cards.card import Card
 from nw_policies.cards.feeding import shape_problems
+from nw_policies.cards.load import load_card
 from nw_policies.drafting.checkpoint import inspect_checkpoint
 from nw_policies.drafting.draft import write_card_draft
 from nw_scenes.robots import get_robot
@@ -64,3 +66,26 @@ def drafted() -> Callable[[Path], tuple[str, Card, list[str]]]:
         return text, bundle.card, problems
 
     return write
+
+
+@pytest.fixture
+def card_of(onnx_file):
+    """Write files beside a graph, and return the text of its card and the card."""
+
+    def draft(
+        size: int | dict[str, int],
+        beside: dict[str, str],
+        robot="go2",
+        metadata=None,
+        name="run/exported/policy.onnx",
+    ) -> tuple[str, Card]:
+        inputs = size if isinstance(size, dict) else {"obs": size}
+        shapes = {given: [1, numbers] for given, numbers in inputs.items()}
+        path = onnx_file(shapes, metadata, name=name)
+        for file, text in beside.items():
+            (path.parent / file).parent.mkdir(parents=True, exist_ok=True)
+            (path.parent / file).write_text(text)
+        text = init_policy(path, robot=robot).text
+        return text, load_card(path.parent / "policy.yaml")
+
+    return draft

@@ -45,29 +45,6 @@ observations:
 """
 
 
-@pytest.fixture
-def card_of(onnx_file):
-    """Write files beside a graph, and return the text of its card and the card."""
-
-    def draft(
-        size: int | dict[str, int],
-        beside: dict[str, str],
-        robot="go2",
-        metadata=None,
-        name="run/exported/policy.onnx",
-    ) -> tuple[str, Card]:
-        inputs = size if isinstance(size, dict) else {"obs": size}
-        shapes = {given: [1, numbers] for given, numbers in inputs.items()}
-        path = onnx_file(shapes, metadata, name=name)
-        for file, text in beside.items():
-            (path.parent / file).parent.mkdir(parents=True, exist_ok=True)
-            (path.parent / file).write_text(text)
-        text = init_policy(path, robot=robot).text
-        return text, load_card(path.parent / "policy.yaml")
-
-    return draft
-
-
 def words(card: Card) -> list[str]:
     return [term.term for term in card.observations["obs"].frame_terms]
 
