@@ -178,8 +178,8 @@ MOST = {
     ),
 }
 """What each package holds. A change that needs more says here what for, in the same commit."""
-TESTS = 114900
-"""Lines of all tests; 2,300 more for reference motions, held joints and point clouds."""
+TESTS = 117400
+"""Lines of all tests; 2,500 more for targets, motors, bags, COLLADA, drafts, up and floors."""
 GROWTH = 1.02
 
 

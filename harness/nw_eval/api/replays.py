@@ -130,7 +130,7 @@ def log_scores(
     A robot's log, MCAP or the MCAP file of a ROS 2 bag, gives the scores that its topics allow.
 
     Args:
-        log: a trial's MCAP file, a robot's MCAP file with joint states and commands, or a bag
+        log: a trial's MCAP file, a robot's MCAP or .db3 file, also compressed, or a bag
             folder.
         scores: scores to compute (default: all, with the task's own).
         robot: the robot of the log, if it is not a run's.

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
+from nw_base.clean import clean
 from nw_base.errors import PolicyError, nearest
 from nw_base.files.inside import what_is
 from nw_policies.bundle import SIZE_LIMIT
@@ -156,7 +157,7 @@ def write_card_draft(
         f"adapter: {facts.adapter}",
         *_checkpoint(facts, folder),
         *([] if network is None else network_lines(network, *_activation(facts))),
-        *(f"{CHECK} {note}" for note in notes),
+        *(f"{CHECK} {clean(note, at_most=_LONGEST_NOTE)}" for note in notes),
         "",
         *control_lines(
             of_all or facts.exporter,
@@ -190,6 +191,7 @@ def _reference(
     return ["", *reference_lines(facts, known, robot, motions, _file_below(facts, folder)[0])]
 
 
+_LONGEST_NOTE = 10_000  # characters
 _ACTIVATIONS = {"leakyrelu": "leaky_relu", "lrelu": "leaky_relu", "swish": "silu"}
 
 

@@ -65,18 +65,18 @@ def read_training(data: Fields, robot: RobotSpec, _: Sequence[Fields]) -> Export
         pose=angles,
         height=0.75,
         period=None,
-        actions=int(about.number("actions_dim") or len(names)),
+        actions=_count(about.number("actions_dim"), names),
     )
     listed, scales = seen.below("obs_dict").texts("actor_obs"), seen.below("obs_scales")
     kept = {name: seen.below("obs_auxiliary").below(name) for name in listed if "history" in name}
-    clip = control.number("action_clip_value")
+    clip = max(control.number("action_clip_value") or 0.0, 0.0)
     terms: list[ExportedTerm] = []
     for name in sorted(listed):
         if name not in kept:
             terms.append(_term(name, scales, body, clipped=bool(clip)))
             continue
         for past in sorted(kept[name]):
-            steps = int(kept[name].number(past) or 1)
+            steps = _steps(kept[name].number(past))
             earlier = _term(past, scales, body, clipped=bool(clip))
             form = "order: newest_first, by: term, current: false, start: zeros"
             terms.append(replace(earlier, history=steps, form=form, keeps_one=True))
@@ -116,7 +116,7 @@ def read_deployment(data: Fields, robot: RobotSpec, _: Sequence[Fields]) -> Expo
     upper = tuple(map(short_name, data.texts("dof_names_upper_body")))
     lower = tuple(map(short_name, data.texts("dof_names_lower_body")))
     dims, scales = data.below("obs_dims"), data.below("obs_scales")
-    actions = int(dims.number("actions") or len(names))
+    actions = _count(dims.number("actions"), names)
     pose = dict(zip(names, data.numbers("DEFAULT_DOF_ANGLES"), strict=False))
     body = _Body(
         names=names,
@@ -126,7 +126,7 @@ def read_deployment(data: Fields, robot: RobotSpec, _: Sequence[Fields]) -> Expo
         period=data.number("GAIT_PERIOD"),
         actions=actions,
     )
-    steps = int(data.below("history_length_dict").number("actor_obs") or 1)
+    steps = _steps(data.below("history_length_dict").number("actor_obs"))
     terms = [
         replace(
             _term(name, scales, body, clipped=True),
@@ -210,3 +210,13 @@ def _by_part(values: Fields, names: Sequence[str]) -> tuple[float, ...]:
         # The longest: `hip_yaw` before `hip`.
         listed.append(number_of(values.get(max(hits, key=len))) if hits else None)
     return () if None in listed else tuple(listed)
+
+
+def _steps(count: float | None) -> int:
+    """Return a number of frames as a card may have it."""
+    return int(min(max(count or 1.0, 1.0), 100.0))
+
+
+def _count(count: float | None, names: Sequence[str]) -> int:
+    """Return a number of joints: those of the file, where it says none or more."""
+    return int(count) if count and 1.0 <= count <= len(names) else len(names)

@@ -94,7 +94,7 @@ def _delay(group: Fields, physics_rate: float | None) -> tuple[int, list[str]]:
 
 def late_steps(steps: float, physics_rate: float | None) -> int:
     """Return a delay in a card's physics steps, of 200 Hz, for one in those of a training."""
-    return min(max(round(steps * 200.0 / (physics_rate or 200.0)), 0), MOST_STEPS)
+    return round(min(max(steps * 200.0 / (physics_rate or 200.0), 0.0), MOST_STEPS))
 
 
 def _curves(group: Fields, patterns: Patterns) -> list[tuple[Sequence[str], dict[str, float]]]:

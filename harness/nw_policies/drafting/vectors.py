@@ -24,7 +24,7 @@ from nw_policies.drafting.layouts import (
     is_scan,
     scan_of,
 )
-from nw_policies.drafting.notation import CHECK, in_brackets, number
+from nw_policies.drafting.notation import CHECK, in_brackets, number, plain
 from nw_policies.drafting.tracking import AHEAD, REFERENCE_TERM_OF
 
 _COMMAND = "velocity_commands"
@@ -58,7 +58,7 @@ def named_parts(
     groups = [list(group) for _, group in groupby(rows, key=lambda row: _kind(row[0]))]
     total = sum(width * (term.history or 1) for term, width in rows)
     size = size or total  # A free size is that of the terms.
-    left_out = [term.name for term, width in zip(terms, sizes, strict=True) if not width]
+    left_out = [plain(term.name) for term, width in zip(terms, sizes, strict=True) if not width]
     parts: list[ObservationDraft] = []
     for group in groups:
         first, width = group[0]
@@ -211,9 +211,9 @@ def _terms(group: Sequence[tuple[ExportedTerm, int]], left_out: Sequence[str]) -
         if known := term_of(term):
             for word in known[0].split("+"):
                 line = f"  - {{term: {word}{keys}}}" if keys else f"  - {word}"
-                lines.append(f"{line}  # {term.name}")
+                lines.append(f"{line}  # {plain(term.name)}")
         else:
-            others = ", ".join([term.name, *left_out])
+            others = plain(", ".join([term.name, *left_out]))
             lines += [
                 f"  {zeros_note(width, others)}",
                 f"  - {{term: constant, value: 0, width: {width}}}",
@@ -254,8 +254,8 @@ def _missing(terms: Sequence[ExportedTerm]) -> list[str]:
     notes: list[str] = []
     everywhere: list[str] = []
     for what, absent in (
-        ("scale", [term.name for term in terms if term.scale is None]),
-        ("clip", [term.name for term in terms if term.clip is None]),
+        ("scale", [plain(term.name) for term in terms if term.scale is None]),
+        ("clip", [plain(term.name) for term in terms if term.clip is None]),
     ):
         if len(absent) == len(terms):
             everywhere.append(f"{what}s")

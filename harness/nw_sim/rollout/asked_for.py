@@ -38,11 +38,20 @@ def own_targets(card: Card, robot: RobotSpec) -> dict[str, OwnTarget]:
                 f"control.commanded: {name} is told {control.kinds[place]}, no position",
                 fix="leave it out",
             )
-        own[name] = OwnTarget(float(control.base[place]), *robot.joint_ranges[index], index)
+        own[name] = OwnTarget(float(control.base[place]), *robot.joint_ranges[index], index, True)
     for seen in card.observations.values():
         for term in seen.frame_terms if isinstance(seen, ProprioObservation) else ():
             if isinstance(term, Target):
                 for name, value in term.of.items():
                     if (key := short_name(name)) not in own:
-                        own[key] = OwnTarget(value, -math.inf, math.inf, None)
+                        own[key] = _read(key, value, robot)
     return own
+
+
+def _read(name: str, value: float, robot: RobotSpec) -> OwnTarget:
+    """Return what a policy reads and follows itself: an angle of a joint, or any other number."""
+    joints = [short_name(joint) for joint in robot.joints]
+    if name not in joints:
+        return OwnTarget(value, -math.inf, math.inf, None, False)
+    index = joints.index(name)
+    return OwnTarget(value, *robot.joint_ranges[index], index, False)

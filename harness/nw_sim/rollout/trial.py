@@ -83,7 +83,8 @@ def so_far(episode: Episode) -> TrialResult:
         waypoint_times=episode.task.times,
         steps=episode.step,
         control_rate=episode.world.control_rate,
-        sim_seconds=episode.world.time,
+        # Of whole control steps: physics that diverges does so in the middle of one.
+        sim_seconds=episode.world.time if episode.step else 0.0,
         contact_s=episode.task.contact_seconds,
         coverage_min=episode.coverage.smallest,
         coverage_mean=episode.coverage.mean,

@@ -285,7 +285,9 @@ class Commanded(TimedTask):
                     "lower it, or raise episode.duration",
                 )
         if settings.targets is not None and rules.own is not None:
-            fault = targets_fault(settings.targets, rules.own)
+            within = getattr(settings, "within", None)
+            measured = getattr(within, "joints", None) is not None
+            fault = targets_fault(settings.targets, rules.own, measured=measured)
             if fault is not None:
                 return fault
         parts = asked.parts

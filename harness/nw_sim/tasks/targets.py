@@ -21,7 +21,8 @@ HEIGHT = "height"
 """The name of the trunk's height over the ground, m, which a task can measure."""
 
 _TINY = 1e-9  # s: times of control steps are sums
-_Asked = float | Annotated[tuple[float, float], Strict(False)]
+_Value = Annotated[float, Field(ge=-1e6, le=1e6)]
+_Asked = _Value | Annotated[tuple[_Value, _Value], Strict(False)]
 
 
 class Targets(TaskPart):
@@ -55,10 +56,20 @@ class OwnTarget(NamedTuple):
     high: float
     joint: int | None
     """Its index in the robot's order; None = no joint."""
+    is_moved: bool
+    """Whether the task moves the joint; else the policy reads the angle and moves it."""
 
 
-def targets_fault(targets: Targets, own: Mapping[str, OwnTarget]) -> TaskFault | None:
-    """Return why a policy cannot be asked for targets."""
+def targets_fault(
+    targets: Targets, own: Mapping[str, OwnTarget], *, measured: bool = False
+) -> TaskFault | None:
+    """Return why a policy cannot be asked for targets.
+
+    Args:
+        targets: of the suite.
+        own: of the policy.
+        measured: whether the angles of joints are compared with the targets.
+    """
     for key, asked in targets.of.items():
         names = _named(key, own)
         if not names:
@@ -77,6 +88,13 @@ def targets_fault(targets: Targets, own: Mapping[str, OwnTarget]) -> TaskFault |
                     f"{name} turns from {low:.3g} to {high:.3g} rad",
                     "ask for angles within that",
                 )
+    joints = [name for name in _values_of(targets, own) if own[name].joint is not None]
+    if measured and not joints:
+        return TaskFault(
+            ("within", "joints"),
+            "the targets name no joint of the robot",
+            "remove it, or ask for angles of joints",
+        )
     return None
 
 
@@ -93,6 +111,7 @@ class DrawnTargets:
     Attributes:
         names: what is asked for, each once.
         is_joint: (N,) whether each is an angle of a joint.
+        is_moved: (N,) whether the task moves it.
     """
 
     def __init__(
@@ -104,15 +123,15 @@ class DrawnTargets:
         seconds: float,
         joints: int,
     ) -> None:
-        asked: dict[str, tuple[float, float]] = {}
-        for key, value in targets.of.items():
-            asked |= dict.fromkeys(_named(key, own), _range(value))
+        asked = _values_of(targets, own)
         self.names = tuple(asked)
         self._every, self._over, self._joints = targets.every, targets.over, joints
         self._own = np.array([own[name].value for name in asked])
         places = [own[name].joint for name in asked]
         self.is_joint = np.array([place is not None for place in places], dtype=bool)
+        self.is_moved = np.array([own[name].is_moved for name in asked], dtype=bool)
         self._places = np.array([place for place in places if place is not None], dtype=np.intp)
+        self._moves = np.array([own[n].joint for n in asked if own[n].is_moved], dtype=np.intp)
         low, high = np.array(list(asked.values())).reshape(-1, 2).T
         # A row for each time: a longer trial begins as a shorter one. A stream for each name: what
         # else another policy can be asked for changes nothing, should it take over.
@@ -136,7 +155,7 @@ class DrawnTargets:
             values: from `at`.
         """
         result = np.zeros(self._joints)
-        result[self._places] = (values - self._own)[self.is_joint]
+        result[self._moves] = (values - self._own)[self.is_moved]
         return result
 
     def off(self, values: Array, positions: Array) -> float:
@@ -156,7 +175,23 @@ def _range(asked: float | tuple[float, float]) -> tuple[float, float]:
     return asked if isinstance(asked, tuple) else (asked, asked)
 
 
+def _values_of(targets: Targets, own: Mapping[str, OwnTarget]) -> dict[str, tuple[float, float]]:
+    """Return the range of each name: where several keys mean it, that of the most exact one."""
+    rank = {key: 2 if key.removesuffix("_joint") in own else _is_pattern(key) for key in targets.of}
+    asked: dict[str, tuple[float, float]] = {}
+    for key in sorted(targets.of, key=lambda each: rank[each]):
+        asked |= dict.fromkeys(_named(key, own), _range(targets.of[key]))
+    return asked
+
+
+def _is_pattern(key: str) -> bool:
+    return any(sign in key for sign in "*?[")
+
+
 def _named(key: str, own: Mapping[str, OwnTarget]) -> list[str]:
-    """Return the names that a key means: one, a type of joints or a pattern, as on a card."""
+    """Return the names that a key means: a name; of joints, a type or a pattern, as on a card."""
     name = key.removesuffix("_joint")
-    return [each for each in own if each.endswith(f"_{name}") or fnmatchcase(each, name)]
+    if name in own:
+        return [name]
+    joints = [each for each in own if own[each].joint is not None]
+    return [each for each in joints if each.endswith(f"_{name}") or fnmatchcase(each, name)]

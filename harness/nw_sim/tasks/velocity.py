@@ -108,7 +108,8 @@ class VelocityTask(Commanded):
         assert drawn is not None
         values = self._asked_at(self.step - 1)
         height = 0.0
-        if self._within.height is not None:
+        # A policy that took over may be one that cannot be told a height.
+        if self._within.height is not None and HEIGHT in drawn.names:
             height = readings.height_over_ground() - float(values[drawn.names.index(HEIGHT)])
         return height, drawn.off(values, readings.joint_positions)
 

@@ -47,6 +47,7 @@ ELSEWHERE = {
     "nw_gate/results/tables.py": "closes a pipe",
     "nw_sim/rollout/mcap/file.py": "writes a partial log as a trial goes on, and renames it",
     "nw_sim/rollout/replaying/film.py": "runs confined, in a scratch folder",
+    "nw_sim/rollout/replaying/log_container.py": "runs confined, in a scratch folder",
     "nw_eval/api/robots.py": "fills the folder of `new_folder`",
     "nw_eval/api/cause.py": "writes into a temporary folder",
     "nw_eval/api/surfaces.py": "is given the temporary path by `_writer`",

@@ -254,3 +254,48 @@ def test_any_robot_does_every_task(folder, robot, policy, kind):
     assert (row.status, row.task_kind) == ("ok", kind)
     assert row.outcome in {"completed", "timeout"}
     assert api.replay(folder / "run" / row.mcap_path).is_identical
+
+
+HELD = """\
+nw-policy: 1
+name: held
+robot: go1
+adapter: zero
+control: {action: joint_position_offset, scale: 0.25, kp: 60, held: [FR_hip]}
+observations:
+  body: {sensor: proprio, terms: [joint_pos, {term: target, of: {height: 0.27}}]}
+"""
+TARGETS = """\
+task:
+  kind: velocity
+  command: {constant: {vx: 0.0}}
+  targets: {of: {FR_hip: [-0.1, 0.1], height: 0.27}, every: 1.0, over: 0.5}
+  within: {linear: 0.2, angular: 0.3, height: 0.05, joints: 0.1}
+"""
+
+
+@pytest.fixture
+def asked(folder):
+    """A run of a policy that holds a joint which its suite moves."""
+    (folder / "held").mkdir()
+    (folder / "held" / "policy.yaml").write_text(HELD)
+    text = SUITE.replace("policy: stand", "policy: ./held").replace("record: none", "record: all")
+    return ran(folder, text + TARGETS)
+
+
+def test_a_joint_that_is_held_goes_where_the_suite_asks_and_is_measured(asked):
+    assert {row.outcome for row in asked.rows} == {"completed"}
+    log = next(asked.folder.rglob("*.mcap"))
+    told = np.array([m.targets for m in messages(log, "/nw/policy")])
+    hip, others = told[:, 0], np.delete(told, 0, axis=1)
+    assert np.ptp(hip) > 0.01
+    assert np.ptp(others, axis=0) == pytest.approx(0.0)
+    assert np.abs(hip).max() <= 0.1 + 1e-9
+
+
+@pytest.mark.parametrize("follower", ["./held", "stand"])
+def test_another_policy_takes_over_whatever_joints_are_held(asked, follower):
+    log = next(asked.folder.rglob("*.mcap"))
+    found = api.take_over(log, start=1.0, policy=follower)
+    assert found.now.end == "completed"
+    assert found.was.end == "completed"

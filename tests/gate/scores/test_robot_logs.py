@@ -875,8 +875,11 @@ def test_a_bag_of_unitree_s_messages_needs_no_definitions_of_its_own(tmp_path):
                 "ALTER TABLE messages RENAME TO m;"
                 "CREATE VIEW messages AS SELECT id, topic_id, timestamp, hex(data) AS data FROM m"
             ),
-            "is damaged: not authorized to use function: hex",
+            "no tables `topics` and `messages`",
         ),
+        (lambda bag: bag.execute("UPDATE messages SET data = 7"), "data of a message are no bytes"),
+        (lambda bag: bag.execute("UPDATE topics SET type = 7"), "is not read"),
+        (lambda bag: bag.execute("UPDATE topics SET name = x'00ff'"), "a topic is no text"),
         (lambda bag: bag.execute("UPDATE messages SET timestamp = 'late'"), "is damaged"),
     ],
 )
@@ -887,6 +890,13 @@ def test_a_bag_that_is_none_is_an_error_of_that_file(tmp_path, spoil, words):
     with pytest.raises((StoreError, UsageError), match=words) as caught:
         scores(path)
     assert str(path) in str(caught.value)
+
+
+def test_a_bag_whose_last_messages_lie_beside_it_is_not_whole(tmp_path):
+    path = as_bag(plain_log(tmp_path), tmp_path / "log.db3")
+    path.with_name("log.db3-wal").write_bytes(b"messages")
+    with pytest.raises(UsageError, match=r"log\.db3 is not whole.*wal_checkpoint"):
+        scores(path)
 
 
 def test_a_cut_bag_is_damaged(tmp_path):

@@ -55,6 +55,17 @@ def dae(*shapes, **changes):
     return text.encode()
 
 
+def nested(levels):
+    """A node of ten nodes of ten nodes ... of a square."""
+    shown = '<instance_geometry url="#square"/>'
+    nodes = f'<node id="n0">{shown}</node>'
+    for level in range(levels):
+        nodes += f'<node id="n{level + 1}">' + f'<instance_node url="#n{level}"/>' * 10 + "</node>"
+    text = dae(TRIANGLES).decode().replace(shown, f'<instance_node url="#n{levels}"/>')
+    library = f"<library_nodes>{nodes}</library_nodes><library_visual_scenes>"
+    return text.replace("<library_visual_scenes>", library).encode()
+
+
 @pytest.mark.parametrize("shape", [TRIANGLES, POLYGON])
 def test_a_square_lies_where_its_node_puts_it_in_metres(shape):
     vertices, faces = triangles(as_stl(dae(shape, LINES)), ".stl")
@@ -72,8 +83,13 @@ def test_a_square_lies_where_its_node_puts_it_in_metres(shape):
         (dae(TRIANGLES)[:900], "cannot be read"),
         (b"PK\x03\x04", "no XML"),
         (b'<!DOCTYPE x [<!ENTITY a "b">]>' + dae(TRIANGLES), "document type or entities"),
-        (dae(TRIANGLES.replace("0 2 3", "0 2 9")), "no triangles"),
+        (dae(TRIANGLES.replace("0 2 3", "0 2 9")), "one of its geometries"),
+        (dae(TRIANGLES.replace("0 2 3", "0 2 -1")), "cannot be read"),
+        (dae(POLYGON.replace("<vcount>4", "<vcount>2000000000")), "more corners than it has"),
+        (dae(TRIANGLES).replace(b'#square"', b'other.dae#square"'), "of another file"),
         (dae(TRIANGLES).replace(b'meter="0.001"', b'meter="inf"'), "no numbers"),
+        (dae(TRIANGLES).replace(b'meter="0.001"', b'meter="-1"'), "no numbers"),
+        (nested(7), "over 10000 parts"),
     ],
 )
 def test_what_is_no_mesh_of_collada_says_why(content, why):

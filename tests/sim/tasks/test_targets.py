@@ -74,9 +74,9 @@ def asked(task, step):
 
 def test_a_task_may_ask_for_joints_that_are_held_and_for_what_a_term_reads():
     assert own() == {
-        "RR_hip": (0.1, *GO1.joint_ranges[GO1.joints.index("RR_hip_joint")], 6),
-        "RL_hip": (-0.1, *GO1.joint_ranges[GO1.joints.index("RL_hip_joint")], 9),
-        "height": (0.3, -np.inf, np.inf, None),
+        "RR_hip": (0.1, *GO1.joint_ranges[GO1.joints.index("RR_hip_joint")], 6, True),
+        "RL_hip": (-0.1, *GO1.joint_ranges[GO1.joints.index("RL_hip_joint")], 9, True),
+        "height": (0.3, -np.inf, np.inf, None, False),
     }
 
 
@@ -110,6 +110,37 @@ def test_values_begin_at_the_card_s_own_and_change_linearly():
 def test_values_are_those_of_the_trial_s_own_seed_whatever_its_length():
     long, short, other = begun(duration=20.0), begun(duration=3.0), begun(seed=8)
     assert asked(long, 140) == asked(short, 140) != asked(other, 140)
+
+
+def test_an_angle_that_a_policy_reads_and_follows_is_measured_and_moves_nothing():
+    reads = own(held=None)
+    assert (reads["RR_hip"].joint, reads["RR_hip"].is_moved) == (6, False)
+    suite = settings_of({**TASK, "targets": {"of": {"RR_hip": 1.5}}})
+    fault = fault_of(suite, hears=frozenset({"command"}), rules=TaskRules(own=reads))
+    assert fault is not None
+    assert "RR_hip turns from" in fault.message
+
+
+def test_the_most_exact_key_counts_and_patterns_mean_joints_alone():
+    of = {"RR_hip": 0.3, "R*": 0.2, "hip": 0.1, "height": 0.25, "*": 0.0}
+    task = begun({**TASK, "targets": {"of": of}})
+    assert asked(task, 60) == pytest.approx({"RR_hip": 0.3, "RL_hip": 0.0, "height": 0.25})
+    held = {name: one for name, one in own().items() if name != "height"}
+    named = {**held, "trunk_height": own()["height"]}
+    suite = settings_of({**TASK, "targets": {"of": {"height": 0.25}}})
+    fault = fault_of(suite, hears=frozenset({"command"}), rules=TaskRules(own=named))
+    assert fault is not None
+    assert fault.location == ("targets", "of", "height")
+
+
+def test_angles_are_not_compared_where_no_target_is_a_joint():
+    numbers = {"FR_calf_load": own()["height"]}
+    suite = settings_of(
+        {**TASK, "targets": {"of": {"FR_calf_load": 1.0}}, "within": {"joints": 0.1}}
+    )
+    fault = fault_of(suite, hears=frozenset({"command"}), rules=TaskRules(own=numbers))
+    assert fault is not None
+    assert fault.location == ("within", "joints")
 
 
 def test_what_else_a_policy_can_be_asked_for_changes_no_value():

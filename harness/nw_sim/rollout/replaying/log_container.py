@@ -7,10 +7,12 @@ and `messages` (topic_id, timestamp, data). From Iron on it has the definitions 
 
 from __future__ import annotations
 
+import errno
 import gzip
 import re
 import sqlite3
 import stat
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
@@ -46,10 +48,13 @@ _OTHERS = (
 )
 """What else a file may be: its first bytes, what that is, and what to do."""
 _BAGS = (".mcap", ".db3")
+_PACKED = frozenset({".zst", ".zstd", ".gz", ".lz4"})
 _BLOCK = 2**20
 _MOST = 4 * 2**30
 """Bytes of a log, unpacked."""
 _MOST_TOPICS = 10_000
+_TIME_LIMIT = 900.0
+"""Seconds; 4 GiB take some of them."""
 _LINE = "=" * 80
 _HEADER = "std_msgs/Header header"
 _TWIST = "geometry_msgs/Vector3 linear; geometry_msgs/Vector3 angular"
@@ -107,6 +112,10 @@ _DEFINITIONS = {
 }
 """Fields of ROS 2 messages, as ros2/common_interfaces and unitreerobotics/unitree_ros2 state them.
 """
+_DAMAGE = (
+    *(AttributeError, LookupError, OverflowError, TypeError, ValueError),
+    *(sqlite3.Error, struct.error),
+)
 _ALLOWED = {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ}
 
 
@@ -119,10 +128,10 @@ def log_files(path: Path) -> tuple[Path, ...]:
     """
     files = (path,)
     if path.is_dir():
-        logs = [each for each in path.iterdir() if set(each.suffixes) & {*_BAGS}]
-        kinds = [[each for each in logs if kind in each.suffixes] for kind in _BAGS]
+        logs = {each: _kind(each) for each in path.iterdir()}
+        kinds = [[each for each in logs if logs[each] == kind] for kind in _BAGS]
         files = tuple(sorted(next((each for each in kinds if each), []), key=_by_number))
-        if not files or (len(files) > 1 and _BAGS[0] in files[0].suffixes):
+        if not files or (len(files) > 1 and _kind(files[0]) == _BAGS[0]):
             names = ", ".join(each.name for each in files[:5]) or "no MCAP file and no .db3"
             raise UsageError(
                 f"{path} is a folder with {clean(names, at_most=300)}",
@@ -131,6 +140,12 @@ def log_files(path: Path) -> tuple[Path, ...]:
     for each in files:
         _check(each)
     return files
+
+
+def _kind(path: Path) -> str:
+    """Return the ending of a log, before that of its compression."""
+    inner = path.with_suffix("") if path.suffix in _PACKED else path
+    return inner.suffix
 
 
 def _by_number(path: Path) -> tuple[int, str]:
@@ -142,7 +157,7 @@ def _by_number(path: Path) -> tuple[int, str]:
 def _check(path: Path) -> None:
     try:
         if not stat.S_ISREG(path.stat().st_mode):  # A pipe may never end.
-            raise StoreError(f"{path} is not a file", fix="name an MCAP file")
+            raise StoreError(f"{path} is not a file", fix="name an MCAP file or a bag")
         with path.open("rb") as stream:
             start = stream.read(64)
     except OSError as error:
@@ -152,6 +167,12 @@ def _check(path: Path) -> None:
     for magic, what, fix in _OTHERS:
         if start.startswith(magic):
             raise UsageError(f"{path} is {what}", fix=fix)
+    beside = path.with_name(f"{path.name}-wal")
+    if start.startswith(_SQLITE) and beside.is_file() and beside.stat().st_size:
+        raise UsageError(
+            f"{path} is not whole: its last messages are in {beside.name}",
+            fix=f'put them together: `sqlite3 {path.name} "PRAGMA wal_checkpoint(TRUNCATE)"`',
+        )
     if not start.startswith((b"\x89MCAP", _SQLITE, *_STREAMS)):
         begin = clean(start[:16].decode(errors="replace"), at_most=40)
         raise UsageError(f"{path} is no MCAP file: it begins with {begin!r}", fix="name a log")
@@ -181,6 +202,7 @@ def as_mcap(path: Path) -> Generator[Path]:
             _convert,
             subject=str(paths[0]),
             rules=rules,
+            time_limit=_TIME_LIMIT,
             sources=[str(path.resolve()) for path in paths],
             names=[str(path) for path in paths],
             target=str(target),
@@ -203,6 +225,8 @@ def _convert(*, sources: Sequence[str], names: Sequence[str], target: str) -> No
         except (OSError, EOFError, zstandard.ZstdError, RuntimeError, ValueError) as error:
             if isinstance(error, NwEvalError):
                 raise
+            if isinstance(error, OSError) and error.errno in {errno.ENOSPC, errno.EDQUOT}:
+                raise _full(out, error) from None
             raise _damaged(name, error) from None
     (first, name) = bags[0]
     if _starts(first, b"\x89MCAP") and len(bags) == 1:
@@ -210,17 +234,35 @@ def _convert(*, sources: Sequence[str], names: Sequence[str], target: str) -> No
         return
     for bag, name in bags:
         if not _starts(bag, _SQLITE):
-            raise UsageError(f"{name} holds no ROS 2 bag", fix="name an MCAP file or a bag")
-    with out.open("wb") as stream:
-        writer = Writer(stream, compression=CompressionType.NONE)
-        writer.start()
-        channels: dict[tuple[str, str], int] = {}
-        for bag, name in bags:
-            try:
-                _copy(bag, writer, channels)
-            except (sqlite3.Error, OverflowError, ValueError, TypeError) as error:
-                raise _damaged(name, error) from None
-        writer.finish()
+            raise UsageError(
+                f"{name} holds neither an MCAP file nor a ROS 2 bag, or only its beginning",
+                fix="copy it again, or unpack it first",
+            )
+    _write(bags, out)
+
+
+def _write(bags: Sequence[tuple[Path, str]], out: Path) -> None:
+    """Write the messages of bags into one MCAP file."""
+    try:
+        with out.open("wb") as stream:
+            writer = Writer(stream, compression=CompressionType.NONE)
+            writer.start()
+            channels: dict[tuple[str, str], int] = {}
+            for bag, name in bags:
+                try:
+                    _copy(bag, writer, channels, name)
+                except _DAMAGE as error:
+                    raise _damaged(name, error) from None
+            writer.finish()
+    except OSError as error:
+        raise _full(out, error) from None
+
+
+def _full(out: Path, error: OSError) -> StoreError:
+    return StoreError(
+        f"cannot write into {out.parent}: {error.strerror}",
+        fix="free some space there, or name another folder in TMPDIR",
+    )
 
 
 def _damaged(name: str, error: Exception) -> StoreError:
@@ -252,8 +294,11 @@ def _unpacked(path: Path, name: str, out: Path) -> Path:
     return out
 
 
-def _copy(bag: Path, writer: Writer, channels: dict[tuple[str, str], int]) -> None:
-    """Copy the messages of a bag, in the order in which they were written."""
+def _copy(bag: Path, writer: Writer, channels: dict[tuple[str, str], int], name: str) -> None:
+    """Copy the messages of a bag that are read, in the order in which they were written.
+
+    Of each other topic one message without its content is copied, so that it can be named.
+    """
     connection = sqlite3.connect(f"{bag.as_uri()}?mode=ro&immutable=1", uri=True)
     with closing(connection):
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2**30)
@@ -261,25 +306,54 @@ def _copy(bag: Path, writer: Writer, channels: dict[tuple[str, str], int]) -> No
         connection.set_authorizer(
             lambda action, *_: sqlite3.SQLITE_OK if action in _ALLOWED else sqlite3.SQLITE_DENY
         )
-        tables = {row[0] for row in connection.execute("SELECT name FROM sqlite_master")}
+        found = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+        tables = {row[0] for row in found}
         if not {"topics", "messages"} <= tables:
             raise ValueError("it has no tables `topics` and `messages`, as a ROS 2 bag has")
-        own = _own_definitions(connection) if "message_definitions" in tables else {}
-        numbers: dict[int, int] = {}
-        topics = connection.execute("SELECT id, name, type, serialization_format FROM topics")
-        for count, (number, topic, kind, encoding) in enumerate(topics):
-            if count > _MOST_TOPICS:
-                raise ValueError(f"it has over {_MOST_TOPICS} topics")
-            if (topic, kind) not in channels:
-                text = own.get(kind) or definition_of(kind)
-                schema = writer.register_schema(kind, "ros2msg", text.encode())
-                channels[topic, kind] = writer.register_channel(topic, encoding, schema)
-            numbers[number] = channels[topic, kind]
+        numbers, others = _topics(connection, tables, writer, channels)
+        total = 0
         for number, time_ns, data in connection.execute(
             "SELECT topic_id, timestamp, data FROM messages"
         ):
-            if number in numbers:
-                writer.add_message(numbers[number], time_ns, bytes(data), time_ns)
+            if number not in numbers:
+                continue
+            if not isinstance(data, bytes):
+                raise TypeError("the data of a message are no bytes")
+            if number in others:
+                writer.add_message(numbers.pop(number), time_ns, b"", time_ns)
+                continue
+            total += len(data)
+            if total > _MOST:
+                message = f"{name} has over {_MOST // 2**30} GiB of messages"
+                raise StoreError(message, fix="cut the log into parts")
+            writer.add_message(numbers[number], time_ns, data, time_ns)
+
+
+def _topics(
+    connection: sqlite3.Connection,
+    tables: set[str],
+    writer: Writer,
+    channels: dict[tuple[str, str], int],
+) -> tuple[dict[int, int], set[int]]:
+    """Register the topics of a bag; return their channels, and which of them are not read."""
+    own = _own_definitions(connection) if "message_definitions" in tables else {}
+    numbers: dict[int, int] = {}
+    others: set[int] = set()
+    rows = connection.execute("SELECT id, name, type, serialization_format FROM topics")
+    for count, (number, *words) in enumerate(rows):
+        if count > _MOST_TOPICS:
+            raise ValueError(f"it has over {_MOST_TOPICS} topics")
+        if not all(isinstance(word, str) for word in words):
+            raise TypeError("name, type or format of a topic is no text")
+        topic, kind, encoding = words
+        if (topic, kind) not in channels:
+            text = own.get(kind) or definition_of(kind)
+            schema = writer.register_schema(kind, "ros2msg", text.encode())
+            channels[topic, kind] = writer.register_channel(topic, encoding, schema)
+        numbers[number] = channels[topic, kind]
+        if kind not in FIELDS:
+            others.add(number)
+    return numbers, others
 
 
 def _own_definitions(connection: sqlite3.Connection) -> dict[str, str]:
@@ -287,7 +361,9 @@ def _own_definitions(connection: sqlite3.Connection) -> dict[str, str]:
     rows = connection.execute(
         "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
     )
-    return {kind: text for kind, encoding, text in rows if encoding == "ros2msg" and text}
+    return {
+        kind: text for kind, encoding, text in rows if encoding == "ros2msg" and type(text) is str
+    }
 
 
 def definition_of(kind: str) -> str:

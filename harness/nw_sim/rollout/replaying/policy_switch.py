@@ -26,6 +26,8 @@ from nw_policies import Bundle
 from nw_policies.bundle import NOTHING
 from nw_policies.cards import JointControl, motors_follow
 from nw_policies.cards.load import CARD_FILE, parse_card
+from nw_policies.cards.observations import ProprioObservation
+from nw_policies.cards.terms import Target, Term
 from nw_sim.rollout.driven import Programs, unpacked_programs
 from nw_sim.rollout.episode import Decision
 from nw_sim.rollout.job import StageClock, TrialResult
@@ -38,7 +40,7 @@ from nw_sim.rollout.referenced import unpacked_motion
 from nw_sim.rollout.trial import ended, failed, so_far
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator
+    from collections.abc import Callable, Generator, Iterator, Sequence
     from pathlib import Path
 
     from nw_base.words import Collision
@@ -97,7 +99,9 @@ def lead(
     in_its_words = translator(card, trial.bundle.card, robot)
     recorded = _recorded_digests(logged.log)
     follower = trial.episode
-    shadow = _ShadowPolicy(follower.policy)
+    shadow = _ShadowPolicy(
+        follower.policy, JointControl.from_card(trial.bundle.card, robot).driven.tolist()
+    )
     own = trial.job
     job = replace(logged.job, scores=own.scores, allow_code=own.allow_code)
     with _open_replayed(logged, job, _replay_policy_of(card), library) as replayed:
@@ -312,12 +316,13 @@ class _ShadowPolicy:
 
     Args:
         policy: already reset.
+        driven: places of the joints that it drives, in its order of all joints.
     """
 
-    def __init__(self, policy: Policy) -> None:
+    def __init__(self, policy: Policy, driven: Sequence[int]) -> None:
         self.executed: Array | None = None
         """(12,) the action of this step, in the policy's words; None = there are none for it."""
-        self._policy = policy
+        self._policy, self._driven = policy, list(driven)
 
     @property
     def inputs(self) -> tuple[InputSpec, ...]:
@@ -331,7 +336,7 @@ class _ShadowPolicy:
     def act(self, observation: Observation) -> Array:
         """Let the policy see an observation, and return what is executed; else its own answer."""
         answer = self._policy.act(observation)
-        return answer if self.executed is None else self.executed
+        return answer if self.executed is None else self.executed[self._driven]
 
     def state(self) -> bytes:
         """Return what the policy remembers."""
@@ -366,8 +371,15 @@ def open_replayed(logged: LoggedTrial, library: Library) -> OpenTrial:
 
 
 def _replay_policy_of(card: Card) -> Bundle:
-    """Return a policy with the motors of a card, which sees nothing."""
-    changed = {"adapter": "zero", "checkpoint": None, "observations": {}, "networks": {}}
+    """Return a policy with the motors of a card, which sees what its task may ask for alone."""
+    terms: list[Term] = [
+        term
+        for seen in card.observations.values()
+        for term in (seen.frame_terms if isinstance(seen, ProprioObservation) else ())
+        if isinstance(term, Target)
+    ]
+    asked = {"asked": ProprioObservation(sensor="proprio", terms=terms)} if terms else {}
+    changed = {"adapter": "zero", "checkpoint": None, "observations": asked, "networks": {}}
     moved = card.model_copy(update={**changed, "inputs": None, "options": {}})
     return Bundle(card=moved, card_path=None, checkpoint=None, checkpoint_sha256=NOTHING)
 

@@ -69,7 +69,6 @@ _LONG_HELD = 1.0  # s that one command stands
 _MOST_SUBSTEPS = 20  # 1 kHz
 _FEWEST = 0.9 * CONTROL_RATE  # messages a second of joints and targets
 _FEWEST_POSES = 4.5  # The trunk's way is sampled at 5 Hz.
-_ROS_1 = "convert it: `rosbags-convert --src BAG --dst OUT --dst-storage mcap`"
 
 
 @dataclass(frozen=True, kw_only=True)
