@@ -203,10 +203,10 @@ class CompiledRobot:
             for each in link.iter("inertia"):
                 if each.attrib | products != each.attrib:
                     each.attrib.update(products)
-                    why = "ixy, ixz and iyz of <link {}>: no body has them beside its ixx, iyy, izz"
+                    why = "ixy, ixz and iyz of <link {}>: impossible with its ixx, iyy and izz"
                 elif (ball := _ball(link)) != each.attrib:
                     each.attrib.update(ball)
-                    why = "inertia of <link {}>, which is none: a ball 2 cm wide of its mass has it"
+                    why = "inertia of <link {}>: not positive; that of a ball of 2 cm is used"
                 else:
                     continue
                 self.folder.account.loses(why.format(name), line)

@@ -435,13 +435,13 @@ def test_products_of_inertia_that_no_body_has_are_left_out_and_said(tmp_path):
     folder = read_folder(tmp_path, URDF_YAML)
     spec_of(folder)
     (said,) = folder.account.sentences()
-    assert said.startswith("ixy, ixz and iyz of <link base>: no body has them")
+    assert said.startswith("ixy, ixz and iyz of <link base>: impossible with its")
     (tmp_path / "robot.xml").write_text(
         URDF.replace(found[0], '<inertia ixx="-1e-20" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>')
     )
     spec_of(folder := read_folder(tmp_path, URDF_YAML))
     (said,) = folder.account.sentences()
-    assert said.startswith("inertia of <link base>, which is none: a ball 2 cm wide of its mass")
+    assert said.startswith("inertia of <link base>: not positive; that of a ball of 2 cm")
 
 
 STAND = """
