@@ -12,6 +12,7 @@ from nw_scenes.robots import find_robot
 from nw_scenes.robots.collada import as_stl
 from nw_scenes.robots.folder import triangles
 
+pytestmark = pytest.mark.filterwarnings("ignore:the matrix subclass:PendingDeprecationWarning")
 DAE = """<?xml version="1.0" encoding="utf-8"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
   <asset><unit name="millimeter" meter="0.001"/><up_axis>Y_UP</up_axis></asset>
