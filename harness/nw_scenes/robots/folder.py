@@ -636,7 +636,7 @@ class _Reader:
             try:
                 mesh.set("filename", self._named(path, self._seen(path)))
             except FileNotFoundError:
-                return self._without(path, "it is not in the folder")
+                return self._without(path, ABSENT)
             except ValueError as error:
                 return self._without(path, str(error))
         return True
@@ -732,6 +732,8 @@ class _Reader:
 
 
 _TAG_LINES = 30  # that a tag may have, for its place to be told
+ABSENT = "it is not in the folder"
+"""Why a mesh that is only seen is not drawn; a draft then looks in the folder above."""
 _AGAIN = "save it again as STL or OBJ, or leave it out"
 _THINNER = "thin it out, or leave it out"
 _ABSENT = "put it there, or remove the mesh and its geoms from the file"

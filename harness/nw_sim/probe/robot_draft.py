@@ -23,7 +23,7 @@ from nw_policies.drafting.notation import CHECK, number, plain, quoted, slug
 from nw_scenes.robots import BUILT_IN, RobotSpec
 from nw_scenes.robots.compiled import Shared
 from nw_scenes.robots.derived import ModelFacts, facts_of, spec_of
-from nw_scenes.robots.folder import RobotFolder, read_folder
+from nw_scenes.robots.folder import ABSENT, RobotFolder, read_folder
 from nw_scenes.robots.kept import notes_of, packed
 from nw_scenes.robots.standing import Drop, LevelGround, standing_pose
 from nw_sim.probe.robot_check import isolated
@@ -50,6 +50,8 @@ class DraftedRobot:
     files: tuple[str, ...]
     """Model and meshes, within the folder."""
     stands: bool
+    absent: int
+    """How many meshes that are only seen are not in the folder."""
     kept: str
     """What the cache keeps of it, as base64."""
 
@@ -70,6 +72,7 @@ def draft_robot(model: Path, *, name: str = "") -> tuple[DraftedRobot, Path]:
     if what_is(model) != "file":
         raise UsageError(f"there is no file {model}", fix="name an MJCF (.xml) or a URDF (.urdf)")
     refused: dict[tuple[int, bool], list[str]] = {}
+    best: tuple[DraftedRobot, Path] | None = None
     for root in _roots(model.resolve()):
         answer = isolated(
             _draft,
@@ -91,7 +94,12 @@ def draft_robot(model: Path, *, name: str = "") -> tuple[DraftedRobot, Path]:
                 inside(root, each)
         except (ValidationError, OutsideError, TypeError):
             raise RobotError(f"{model}: the draft cannot be read") from None
-        return drafted, root
+        if not drafted.absent:
+            return drafted, root
+        if best is None or drafted.absent < best[0].absent:
+            best = drafted, root  # What is only seen may lie in the folder above, too.
+    if best is not None:
+        return best
     raise RobotError(refused[max(refused)])  # Of the folder in which most files were found.
 
 
@@ -154,7 +162,8 @@ class _Draft:
         own = spec_of(folder, self.shared)  # It can be run as it is.
         kept = b64encode(packed(own, notes_of(folder))).decode()
         files = tuple(name for name in folder.files if name != "robot.yaml")
-        return DraftedRobot(text=text, files=files, stands=dropped.stands, kept=kept)
+        absent = sum(ABSENT in note for note in folder.notes)
+        return DraftedRobot(text=text, files=files, stands=dropped.stands, absent=absent, kept=kept)
 
     def _dropped(self, spec: RobotSpec) -> Drop:
         return self._ground(spec).drop(held=len(spec.feet) < 3)

@@ -115,3 +115,22 @@ def test_a_robot_may_collide_by_a_mesh_of_collada(tmp_path):
         RobotError, match=r"block\.urdf:4.*square\.dae.*no triangles.*save it again as STL"
     ):
         find_robot(f"{tmp_path}/")
+
+
+def test_a_draft_takes_the_folder_in_which_the_meshes_are_that_are_only_seen(tmp_path):
+    from nw_eval import api
+
+    (tmp_path / "block" / "urdf").mkdir(parents=True)
+    (tmp_path / "block" / "meshes").mkdir()
+    seen = (
+        '<visual><geometry><mesh filename="package://block/meshes/square.dae"/></geometry></visual>'
+    )
+    box = '<collision><geometry><box size=".2 .2 .1"/></geometry></collision>'
+    mesh = '<collision><geometry><mesh filename="square.dae"/></geometry></collision>'
+    model = tmp_path / "block" / "urdf" / "block.urdf"
+    model.write_text(URDF.replace(mesh, seen + box))
+    (tmp_path / "block" / "meshes" / "square.dae").write_bytes(dae(TRIANGLES))
+    assert api.init_robot(model).file == tmp_path / "block" / "robot.yaml"
+    (tmp_path / "block" / "robot.yaml").unlink()
+    (tmp_path / "block" / "meshes" / "square.dae").unlink()
+    assert api.init_robot(model).file == tmp_path / "block" / "urdf" / "robot.yaml"
