@@ -22,12 +22,13 @@ run: $(VENV)/.installed
 
 # Types are checked by one core while the other compiles the kernels: those of the splats by `warmup`, those of
 # reconstruction and calibration, which few users need, by a test of each kind. Files of tests keep their order: xdist
-# would run those of one long test last, when the other core has nothing left to do. There is a worker more than cores:
-# many tests wait, for a process or a limit of time.
+# would run those of one long test last, when the other core has nothing left to do. Many tests wait, for a process or a
+# limit of time: there is a worker more than cores, where memory allows it; a worker takes up to 4 GB.
+WORKERS := import os; most = os.sysconf('SC_PHYS_PAGES') * os.sysconf('SC_PAGE_SIZE') // 4_000_000_000; \
+  print(max(1, min(os.cpu_count() + 1, most)))
 test: $(VENV)/.installed-dev
 	$(MAKE) -j 2 --output-sync=target check warm
-	$(BIN)/pytest -n $$($(BIN)/python -c "import os; print(os.cpu_count() + 1)") \
-	  --dist loadscope --no-loadscope-reorder $(PYTEST_ARGS)
+	$(BIN)/pytest -n $$($(BIN)/python -c "$(WORKERS)") --dist loadscope --no-loadscope-reorder $(PYTEST_ARGS)
 
 check: types lint imports words
 
