@@ -69,7 +69,7 @@ def given(*shape):
     return (np.random.default_rng(0).normal(size=shape) * scale).astype(np.float32)
 
 
-def agrees_with_torch(data, path, *, inputs):
+def check_against_torch(data, path, *, inputs):
     """Check torques of 12 joints for 40 steps against those of torch on the same file."""
     program = motor_program(data, str(path), joints=12, inputs=inputs)
     network, module = Network(program), torch.jit.load(str(path), map_location="cpu")
@@ -108,20 +108,20 @@ def agrees_with_torch(data, path, *, inputs):
     ids=["wtw", "wtw-mixed", "softsign", "relu", "sigmoid"],
 )
 def test_layers_give_the_torques_that_torch_gives(module, tmp_path):
-    agrees_with_torch(saved(module, tmp_path), tmp_path / "motor.pt", inputs=6)
+    check_against_torch(saved(module, tmp_path), tmp_path / "motor.pt", inputs=6)
 
 
 @pytest.mark.parametrize("depth", [1, 2, 3])
 def test_an_lstm_gives_the_torques_that_torch_gives_step_after_step(depth, tmp_path):
     torch.manual_seed(depth)
-    agrees_with_torch(saved(LSTMsea(depth), tmp_path), tmp_path / "motor.pt", inputs=2)
+    check_against_torch(saved(LSTMsea(depth), tmp_path), tmp_path / "motor.pt", inputs=2)
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_published_networks_give_the_torques_that_torch_gives(name):
     if not (ASSETS / name).is_file():
         pytest.skip(f"no {name} at {ASSETS}")
-    agrees_with_torch((ASSETS / name).read_bytes(), ASSETS / name, inputs=PUBLISHED[name])
+    check_against_torch((ASSETS / name).read_bytes(), ASSETS / name, inputs=PUBLISHED[name])
 
 
 def test_an_onnx_file_gives_what_the_module_gives_that_it_is_of(tmp_path):

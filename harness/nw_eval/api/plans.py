@@ -6,6 +6,7 @@ Everything that is wrong with them is found in one go.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -175,11 +176,10 @@ def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> N
 
     if suite is None or bundle is None:
         return
-    task = suite.task
-    try:
-        own = own_targets(bundle.card, get_robot(suite.robot))
-    except NwEvalError:  # As already reported.
-        own = None
+    task, own = suite.task, None
+    if getattr(task, "targets", None) is not None:
+        with suppress(NwEvalError):  # As already reported.
+            own = own_targets(bundle.card, get_robot(suite.robot))
     rules = TaskRules(duration=suite.episode.duration, own=own)
     axes = [axis for axis in suite.perturb.axes if axis in COMMANDED]
     if axes and not is_commanded(task):

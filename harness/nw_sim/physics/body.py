@@ -232,15 +232,6 @@ class Body:
             if name != self.robot.root
         }
 
-    def joint_bodies(self) -> dict[str, str]:
-        """Return, by the name of each joint of the robot, the body that it moves."""
-        names = dict(zip(self.bodies, self.robot.bodies, strict=True))
-        model = self._model
-        return {
-            joint: names[int(model.jnt_bodyid[model.joint(joint).id])]
-            for joint in self.robot.joints
-        }
-
     def moving(self) -> tuple[Array, Array, Array, Array, Array]:
         """Return what moves, now: views of the simulation's memory where that is possible.
 

@@ -100,7 +100,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             control_period=world.control_period,
             contact_termination=job.contact_termination,
             reference=library.motion(bundle, world, card),
-            own=own_targets(card, robot),
+            own=own_targets(card, robot) if getattr(job.task, "targets", None) else None,
         )
         with extension_at_fault():
             task = open_task(with_command(job.task, setup.command), rules)

@@ -19,6 +19,7 @@ from nw_base.memory import pack, unpack
 from nw_base.plural import plural
 from nw_policies.cards import JointControl
 from nw_policies.cards.joints import short_name
+from nw_policies.drafting.orders import level_by_level
 from nw_policies.motions.motion import FRAMES
 from nw_policies.motions.reading import read_motion
 from nw_sim.tasks.reference import Reference, conjugate, product, turned
@@ -154,20 +155,11 @@ class _Fitting:
             )
         if self._motion.positions.shape[1] == 1:
             return own
-        orders = [own, [*map(short_name, self._card.control.joints or ())], self._breadth_first()]
+        orders = [own, [*map(short_name, self._card.control.joints or ())]]
+        orders.append([*level_by_level(self._robot)])
         misses = {tuple(order): self._miss(order) for order in orders if order}
         best = min(misses, key=misses.__getitem__)
         return own if misses[tuple(own)] <= misses[best] + _CLEARLY else [*best]
-
-    def _breadth_first(self) -> list[str]:
-        """Return the joints as Isaac Lab counts them."""
-        parents, moved = self._world.hangs_on(), self._world.joint_bodies()
-
-        def depth(body: str) -> int:
-            return 1 + depth(parents[body]) if body in parents else 0
-
-        own = sorted(self._robot.joints, key=lambda joint: depth(moved[joint]))
-        return [*map(short_name, own)]
 
     def _miss(self, names: Sequence[str]) -> float:
         """Return how far bodies are from those of the file, m, if its joints are in an order."""

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from nw_base.words import Fault, Outcome
     from nw_sim.rollout.job import TrialJob
 
+_ROUNDING = 1e-6
+"""s that the sum of a trial's physics steps may be off."""
+
 
 def run_trial(
     job: TrialJob, *, library: Library | None = None, clock: StageClock | None = None
@@ -72,6 +75,15 @@ def _timed(result: TrialResult, clock: StageClock, began: float) -> TrialResult:
     return replace(result, wall=clock.stages, wall_seconds=perf_counter() - began)
 
 
+def _whole_seconds(episode: Episode) -> float:
+    """Return the simulated time of the control steps that are whole, s.
+
+    Physics that diverges does so in the middle of one.
+    """
+    whole, now = episode.step / episode.world.control_rate, episode.world.time
+    return now if now - whole < _ROUNDING else whole
+
+
 def so_far(episode: Episode) -> TrialResult:
     """Return what an episode has come to, with status `error` until it has an outcome."""
     return TrialResult(
@@ -83,8 +95,7 @@ def so_far(episode: Episode) -> TrialResult:
         waypoint_times=episode.task.times,
         steps=episode.step,
         control_rate=episode.world.control_rate,
-        # Of whole control steps: physics that diverges does so in the middle of one.
-        sim_seconds=episode.world.time if episode.step else 0.0,
+        sim_seconds=_whole_seconds(episode),
         contact_s=episode.task.contact_seconds,
         coverage_min=episode.coverage.smallest,
         coverage_mean=episode.coverage.mean,

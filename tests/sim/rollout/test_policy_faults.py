@@ -4,6 +4,7 @@ import os
 import signal
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from nw_policies.opening import ZeroPolicy
 from nw_sim.rollout.job import TrialJob, TrialResult, policy_fault
 from nw_sim.rollout.library import Library
 from nw_sim.rollout.record import verdict_metadata
-from nw_sim.rollout.trial import run_trial
+from nw_sim.rollout.trial import _whole_seconds, run_trial
 from nw_sim.tasks.course import Course
 
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[4] / "shared" / "assets"))
@@ -259,3 +260,12 @@ def test_whatever_a_task_raises_is_no_failure_of_the_policy(run_faked, monkeypat
             result = run_faked(FakePolicy(), duration=0.1)
         assert (result.error_type, policy_fault(result)) == ("crashed", None), method
         assert "a score, task or perturbation raised OddError: odd" in result.error_text
+
+
+@pytest.mark.parametrize(
+    ("step", "now", "seconds"),
+    [(0, 0.02, 0.0), (1, 0.04, 0.02), (1, 0.025, 0.02), (3, 0.0600000000001, 0.0600000000001)],
+)
+def test_a_trial_that_diverges_lasted_as_long_as_its_whole_control_steps(step, now, seconds):
+    world = SimpleNamespace(control_rate=50.0, time=now)
+    assert _whole_seconds(SimpleNamespace(step=step, world=world)) == seconds
