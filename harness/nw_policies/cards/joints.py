@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
-from typing import Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from xml.etree.ElementTree import fromstring
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,9 @@ from pydantic import Field, Strict
 
 from nw_base.errors import PolicyError, nearest
 from nw_base.plural import plural
+
+if TYPE_CHECKING:
+    from nw_scenes.robots import RobotSpec
 
 Number = Annotated[float, Strict()]
 """A number and nothing that could be read as one: `kp: true` and `kp: "35"` are slips."""
@@ -35,6 +39,21 @@ Held = Annotated[list[str], Field(min_length=1)] | Annotated[dict[str, Number], 
 def short_name(joint: str) -> str:
     """Return the name of a joint without the `_joint` that URDF files append."""
     return joint.removesuffix("_joint")
+
+
+def level_by_level(robot: RobotSpec) -> tuple[str, ...]:
+    """Return the short names of a robot's joints as PhysX counts the links of an articulation.
+
+    It goes from the root level by level, those of one level in the order of their parents.
+    """
+    found: list[str] = []
+    level = fromstring(robot.mjcf).findall("worldbody/body")  # noqa: S314 - our own text.
+    while level:
+        joints = (joint.get("name", "") for body in level for joint in body.findall("joint"))
+        found += [short_name(joint) for joint in joints if joint in robot.joints]
+        level = [child for body in level for child in body.findall("body")]
+    own = tuple(map(short_name, robot.joints))
+    return tuple(found) if sorted(found) == sorted(own) else own
 
 
 def joint_order(wanted: Sequence[str], joints: Sequence[str]) -> NDArray[np.intp]:

@@ -35,7 +35,7 @@ from nw_policies.drafting.inputs import (
     wanted_inputs,
     widths_to_try,
 )
-from nw_policies.drafting.layouts import Frame, is_scan
+from nw_policies.drafting.layouts import Frame, is_scan, isaac_lab_order
 from nw_policies.drafting.leapp import pipeline_of
 from nw_policies.drafting.leapp_card import PipelineDraft, with_pipeline
 from nw_policies.drafting.motors import motor_lines
@@ -49,7 +49,6 @@ from nw_policies.drafting.notation import (
     quoted,
     slug,
 )
-from nw_policies.drafting.orders import isaac_lab_order
 from nw_policies.drafting.some_joints import (
     commanded_lines,
     driven_joints,

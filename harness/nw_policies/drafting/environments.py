@@ -15,9 +15,8 @@ from typing import Any, cast
 from nw_policies.cards.joints import short_name
 from nw_policies.drafting.checkpoint import ExportedTerm, ExporterMetadata, HeightGrid
 from nw_policies.drafting.fields import Fields, per_second
-from nw_policies.drafting.layouts import TERM_OF
+from nw_policies.drafting.layouts import TERM_OF, isaac_lab_order
 from nw_policies.drafting.motors import motor_groups
-from nw_policies.drafting.orders import isaac_lab_order
 from nw_policies.drafting.patterns import Patterns, reordered
 from nw_policies.drafting.tracking import MOTION_COMMAND
 from nw_scenes.robots import RobotSpec

@@ -11,9 +11,13 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
+from nw_policies.cards.joints import level_by_level, short_name
 from nw_policies.cards.observations import GridOrder
+
+if TYPE_CHECKING:
+    from nw_scenes.robots import RobotSpec
 
 Family = Literal["isaac-gym", "isaac-lab", "mujoco"]
 """Simulators whose users export alike."""
@@ -239,6 +243,16 @@ FRAMES: tuple[Frame, ...] = (
     ),
 )
 """The likelier ones of a size first."""
+
+
+def isaac_lab_order(robot: RobotSpec) -> tuple[str, ...]:
+    """Return the short names of a robot's joints as trainings in Isaac Lab count them.
+
+    Those of Unitree's quadrupeds begin with the left legs, though files of the robots may begin
+    with the right ones; others are `level_by_level`.
+    """
+    own = sorted(map(short_name, robot.joints))
+    return TYPE_BY_TYPE if own == sorted(TYPE_BY_TYPE) else level_by_level(robot)
 
 
 def frames_of(size: int, joints: int = _QUADRUPED) -> tuple[tuple[Frame, int], ...]:

@@ -18,8 +18,7 @@ from nw_base.errors import PolicyError, StoreError
 from nw_base.memory import pack, unpack
 from nw_base.plural import plural
 from nw_policies.cards import JointControl
-from nw_policies.cards.joints import short_name
-from nw_policies.drafting.orders import level_by_level
+from nw_policies.cards.joints import level_by_level, short_name
 from nw_policies.motions.motion import FRAMES
 from nw_policies.motions.reading import read_motion
 from nw_sim.tasks.reference import Reference, conjugate, product, turned

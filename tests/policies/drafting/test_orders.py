@@ -13,8 +13,7 @@ from tests.policies.drafting.test_beside import (
     LEFT_FIRST,
 )
 
-from nw_policies.drafting.layouts import frames_of
-from nw_policies.drafting.orders import isaac_lab_order
+from nw_policies.drafting.layouts import frames_of, isaac_lab_order
 from nw_scenes.robots import get_robot
 
 IN_TYPES = [LEFT_FIRST.index(name) for name in BY_TYPE]
