@@ -155,7 +155,7 @@ def _schema(kind: str) -> dict[str, Any]:
     if kind != "robot":
         return api.schema(kind)  # type: ignore[arg-type]
     from nw_base.files.yaml_file import json_schema_of
-    from nw_scenes.robots.folder import RobotFile
+    from nw_scenes.robots.robot_file import RobotFile
 
     return json_schema_of(RobotFile)
 

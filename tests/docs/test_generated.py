@@ -21,7 +21,7 @@ from nw_eval import api
 from nw_eval.cli.verbs import _config, forms
 from nw_gate.results.parquet import SCHEMA
 from nw_gate.scores import BUILT_IN
-from nw_scenes.robots.folder import RobotFile
+from nw_scenes.robots.robot_file import RobotFile
 from nw_sim.rollout.mcap.topics import TOPICS
 
 if TYPE_CHECKING:

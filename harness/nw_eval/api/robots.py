@@ -114,8 +114,8 @@ def init_robot(model: str | PathLike[str], *, out: str | PathLike[str] | None = 
     from nw_base.files.cache import atomic_path, check_place, followed
     from nw_base.files.inside import what_is
     from nw_policies.drafting.notation import lines_to_check
-    from nw_scenes.robots.folder import ROBOT_FILE
     from nw_scenes.robots.kept import keep
+    from nw_scenes.robots.robot_file import ROBOT_FILE
     from nw_sim.probe.robot_draft import draft_robot
 
     model = as_path(model)

@@ -20,7 +20,8 @@ import numpy.typing as npt
 
 from nw_base.errors import RobotError, nearest
 from nw_scenes.robots.account import Account
-from nw_scenes.robots.folder import Camera, RobotFolder, element_lines, fill_meshes
+from nw_scenes.robots.folder import RobotFolder, element_lines, fill_meshes
+from nw_scenes.robots.robot_file import Camera
 from nw_scenes.robots.spec import CameraMount, ImuMount, Vector3
 
 # Its classes live in compiled modules without type information.

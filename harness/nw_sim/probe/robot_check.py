@@ -243,7 +243,8 @@ def _sources(entry: FoundRobot) -> tuple[dict[str, str], list[str]]:
     if entry.folder is None:
         return dict.fromkeys(_DERIVED, place_of(entry)), [place_of(entry)] * len(robot.joints)
     from nw_scenes.robots.derived import facts_of
-    from nw_scenes.robots.folder import ROBOT_FILE, read_folder
+    from nw_scenes.robots.folder import read_folder
+    from nw_scenes.robots.robot_file import ROBOT_FILE
 
     folder = read_folder(entry.folder)
     settings, model = folder.settings, folder.settings.model.file
