@@ -70,6 +70,14 @@ class TrailFollower(CardModel):
     least_speed: float | None = Field(default=None, ge=0.0, le=5.0)
     """What vx is at least, m/s, for policies that turn only while they walk; None = 0."""
 
+    @model_validator(mode="after")
+    def _ordered(self) -> TrailFollower:
+        if self.least_speed is not None and self.least_speed > self.speed:
+            raise ValueError(
+                f"least_speed, {self.least_speed:g} m/s, is more than speed, {self.speed:g} m/s"
+            )
+        return self
+
     @model_serializer(mode="wrap")
     def _without_a_least_speed(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out what is not given, so that cards without it keep their digest."""

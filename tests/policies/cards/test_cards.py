@@ -217,6 +217,10 @@ def test_a_missing_card_is_one_line(tmp_path):
         ("  dots: {sensor: scandts}", "did you mean 'scandots'?"),
         ("inputs: {obs: [obss]}", "unknown observation 'obss'; did you mean 'obs'?"),
         ("inputs: {obs: []}", "has no observations"),
+        (
+            "command: {source: trail_follower, speed: 0.3, least_speed: 0.4}",
+            "least_speed, 0.4 m/s, is more than speed, 0.3 m/s",
+        ),
     ],
 )
 def test_values_that_make_no_sense_are_said_with_what_would(tmp_path, line, said):
