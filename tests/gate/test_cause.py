@@ -110,7 +110,13 @@ def test_trials_that_one_of_the_four_did_not_end_are_left_out_and_counted():
         cause_of(arms(old_old=[None], old_new=[1.0], new_old=[1.0], new_new=[1.0]), ALL)
 
 
-@pytest.mark.parametrize(("rest", "named"), [("control", "perception"), ("perception", "control")])
+@pytest.mark.parametrize(
+    ("rest", "named"),
+    [
+        ("control", "perception"),
+        pytest.param("perception", "control", marks=pytest.mark.nightly),
+    ],
+)
 def test_an_effect_that_is_none_is_seldom_named(rest, named):
     rng, wrong, right = np.random.default_rng(11), 0, 0
     for _ in range(200):
@@ -144,8 +150,8 @@ def of_parts(sight, control):
     return arms(**{name: (y + np.zeros(len(lost))).tolist() for name, y in four.items()})
 
 
-@pytest.mark.parametrize("trials", [16, 32])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("trials", [16, pytest.param(32, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("sign", [1.0, pytest.param(-1.0, marks=pytest.mark.nightly)])
 def test_skewed_parts_with_mean_0_are_named_as_seldom_as_said(trials, sign):
     rng, times = np.random.default_rng(5), 200
     line = 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / times)

@@ -98,10 +98,15 @@ def test_a_policy_that_patches_the_scorer_changes_no_score(evaluated):
 @pytest.mark.parametrize(
     ("deed", "said"),
     [
-        ("os.fork()", "act raised PermissionError"),
-        ("subprocess.run(['true'])", "act raised PermissionError"),
-        ("socket.socket()", "act raised PermissionError"),
-        ("os.kill(os.getppid(), 9)", "act raised PermissionError"),
+        *(
+            pytest.param(deed, "act raised PermissionError", marks=pytest.mark.nightly)
+            for deed in (
+                "os.fork()",
+                "subprocess.run(['true'])",
+                "socket.socket()",
+                "os.kill(os.getppid(), 9)",
+            )
+        ),
         ("Path(__file__).with_name('new').write_text('mine')", "act raised PermissionError"),
         ("list(Path(__file__).parents[1].glob('run/*.json')) + os.listdir('/root')", "Permission"),
     ],
@@ -238,7 +243,9 @@ def test_an_interpreter_that_is_not_there_or_not_allowed_is_told(evaluated):
         evaluated(doing("pass"), card=CARD + "python: ./none\n")
 
 
-@pytest.mark.parametrize("is_own", [False, True], ids=["our Python", "its own"])
+@pytest.mark.parametrize(
+    "is_own", [pytest.param(False, marks=pytest.mark.nightly), True], ids=["our Python", "its own"]
+)
 def test_a_short_action_says_what_it_is_wherever_it_comes_from(evaluated, interpreter, is_own):
     code = doing("return np.zeros(3)").replace("import os", "import numpy as np, os")
     report = evaluated(code, card=CARD + (f"python: {interpreter}\n" if is_own else ""))

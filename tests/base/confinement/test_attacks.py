@@ -80,7 +80,7 @@ FILES = ("read ", "list ")
     [
         pytest.param("on", "", id="whole"),
         pytest.param("5", "", id="older Landlock", marks=pytest.mark.nightly),
-        pytest.param("off", "", id="no Landlock"),
+        pytest.param("off", "", id="no Landlock", marks=pytest.mark.nightly),
         pytest.param("on", sys.executable, id="a Python of its own", marks=pytest.mark.nightly),
     ],
 )
@@ -178,7 +178,13 @@ def clings(process):
     return int(status.partition("SigBlk:")[2].split()[0], 16).bit_count() > 50
 
 
-@pytest.mark.parametrize("python", ["", sys.executable], ids=["our Python", "its own"])
+@pytest.mark.parametrize(
+    "python",
+    [
+        pytest.param("", id="our Python"),
+        pytest.param(sys.executable, id="its own", marks=pytest.mark.nightly),
+    ],
+)
 def test_a_policy_that_clings_to_life_dies_with_a_run_that_is_killed(place, as_user, python):
     texts = runpy.run_path(str(HERE / "attacked_run.py"))
     (folder := place / "run").mkdir()

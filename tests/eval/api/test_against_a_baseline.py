@@ -199,6 +199,7 @@ def test_a_run_that_was_interrupted_continues_and_ends_with_the_same_trial():
     assert (resumed.info.stop, resumed.verdict) == (whole.info.stop, whole.verdict)
 
 
+@pytest.mark.nightly
 def test_what_a_drop_is_due_to_is_found_in_the_very_trials_of_the_run():
     judged = against(all_rounds=True)
     found = api.find_cause(Path("run"), baseline="shipped", policy="go1-parkour", workers=1)
@@ -484,6 +485,7 @@ def test_a_fresh_panel_follows_from_the_checkpoint_and_from_nothing_else():
     assert rows_digest(again.rows) == rows_digest(judged.rows)
 
 
+@pytest.mark.nightly
 def test_where_the_baseline_s_bits_are_repeated_its_panel_counts_as_on_its_own_machine():
     seen = against("seen")
     forged(elsewhere)

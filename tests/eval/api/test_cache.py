@@ -309,6 +309,7 @@ def test_a_cache_that_cannot_be_opened_is_a_sentence(place, tmp_path, monkeypatc
     assert "trials" in known.info.off
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("place")
 def test_a_log_that_was_reused_from_another_suite_is_identical(tmp_path):
     text = (

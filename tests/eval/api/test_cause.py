@@ -95,7 +95,10 @@ def test_policies_that_see_in_other_ways_cannot_be_exchanged():
         apart(load_bundle("stand"), load_bundle("stand"))
 
 
-@pytest.mark.parametrize(("changes", "answer"), [(WEAK, "control"), (SHORT_SIGHTED, "perception")])
+@pytest.mark.parametrize(
+    ("changes", "answer"),
+    [(WEAK, "control"), pytest.param(SHORT_SIGHTED, "perception", marks=pytest.mark.nightly)],
+)
 def test_attribute_names_what_a_policy_lost_by(changed, suite, tmp_path, capsys, changes, answer):
     worse = changed("worse", changes)
     run = tmp_path / "run"

@@ -109,7 +109,9 @@ def test_another_command_is_another_panel(folder):
     assert len(digests) == 4
 
 
-@pytest.mark.parametrize("kind", TASKS)
+@pytest.mark.parametrize(
+    "kind", ["push", *(pytest.param(k, marks=pytest.mark.nightly) for k in ("velocity", "stand"))]
+)
 def test_one_worker_and_two_give_the_same_bits_and_so_does_a_replay(folder, kind):
     one = ran(folder, SUITE + TASKS[kind], name="one")
     two = ran(folder, SUITE + TASKS[kind], workers=2, name="two")

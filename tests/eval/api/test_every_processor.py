@@ -73,7 +73,7 @@ def processor(monkeypatch):
     return choose
 
 
-@pytest.mark.parametrize("runtime", [None, "native"])
+@pytest.mark.parametrize("runtime", [None, pytest.param("native", marks=pytest.mark.nightly)])
 def test_a_baseline_of_one_processor_holds_on_another_where_nw_eval_runs_the_networks(
     runtime, project, processor
 ):
@@ -113,6 +113,7 @@ def test_the_class_of_other_runtimes_is_what_it_was(project, processor):
     assert not {"networks", "architecture"} & here.keys()
 
 
+@pytest.mark.nightly
 def test_a_baseline_of_nw_eval_s_networks_has_one_class_whatever_saved_it(project, processor):
     project("nw-eval")
     processor("zen 0a0a0a0a")

@@ -89,6 +89,7 @@ def test_saving_again_measures_nothing():
     assert again.action == "unchanged"
 
 
+@pytest.mark.nightly
 def test_verifying_a_baseline_covers_its_limits_and_a_diff_shows_them(project, tmp_path, capsys):
     file = project / "reports/baselines/steps/go1-parkour.parquet"
     saved = read_baseline(file)
@@ -164,6 +165,7 @@ def test_junit_has_a_case_for_the_ladder(soft, tmp_path):
     assert 'type="regressed"' in text
 
 
+@pytest.mark.nightly
 def test_verify_covers_the_trials_of_the_ladder(soft, tmp_path):
     copied = tmp_path / "run"
     shutil.copytree(soft.folder, copied)
@@ -200,6 +202,7 @@ def test_a_climb_that_was_cut_goes_on_with_resume(soft, tmp_path):
     assert resumed.verdict.verdict == "REGRESSED"
 
 
+@pytest.mark.nightly
 def test_where_the_saved_limit_does_not_hold_the_baselines_policy_climbs_first(project, tmp_path):
     file = project / "reports/baselines/steps/go1-parkour.parquet"
     saved = read_baseline(file)
@@ -306,6 +309,7 @@ def test_links_to_reused_logs_of_a_ladder_are_the_runs_own(soft, tmp_path):
         check_plain(RunFolder(path=copied))
 
 
+@pytest.mark.nightly
 def test_a_run_without_a_baseline_goes_on_with_one(tmp_path):
     alone = api.run("./steps.yaml", policy="./soft", baseline="none", out=tmp_path / "run")
     assert steps(alone).word is None

@@ -29,7 +29,9 @@ def served(*arguments):
     return process, found[1]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)]
+)
 def test_the_page_is_there_until_it_is_interrupted(log, number):
     process, address = served(log, "--port", "0", "--at", "0.5")
     with process:

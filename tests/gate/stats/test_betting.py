@@ -102,7 +102,14 @@ def test_values_outside_the_unit_interval_are_refused(wrong):
         lower_bound([np.array([0.5, wrong])])
 
 
-@pytest.mark.parametrize(("scenes", "trials", "q"), [(1, 10, 0.9), (8, 10, 0.98), (3, 30, 0.8)])
+@pytest.mark.parametrize(
+    ("scenes", "trials", "q"),
+    [
+        (1, 10, 0.9),
+        pytest.param(8, 10, 0.98, marks=pytest.mark.nightly),
+        pytest.param(3, 30, 0.8, marks=pytest.mark.nightly),
+    ],
+)
 def test_the_bound_is_too_high_at_most_as_often_as_it_promises(scenes, trials, q):
     rng = np.random.default_rng(20261)
     passes = np.clip(q + np.linspace(-0.1, 0.02, scenes), 0.0, 0.999)

@@ -176,7 +176,7 @@ def mirrored(name, joints, folder):
     ("name", "words"),
     [
         ("himloco-go2", "the hips"),
-        ("playground-go1", "the right hips"),
+        nightly("playground-go1", "the right hips"),
         ("playground-go1", "thighs and calves"),
         nightly("playground-go1", "the hips"),
         nightly("himloco-go2", "the right hips"),
@@ -431,8 +431,8 @@ def test_a_stumbling_policy_is_not_told_a_card_under_which_it_ignores_its_comman
     "command",
     [
         {"source": "trail_follower", "speed": 0.8, "yaw_limit": 0.001},
-        {"source": "constant", "velocity": [0.5, 0.0, 0.3]},
-        {"source": "constant", "velocity": [-0.5, 0.0, 0.0]},
+        nightly({"source": "constant", "velocity": [0.5, 0.0, 0.3]}),
+        nightly({"source": "constant", "velocity": [-0.5, 0.0, 0.0]}),
         {"source": "constant", "velocity": [0.0, 0.3, 0.0]},
     ],
     ids=lambda command: f"{command['source']} {list(command.values())[1:]}",
@@ -452,7 +452,7 @@ def card_of(name):
 
 @pytest.mark.assets
 @needs_others
-@pytest.mark.parametrize("name", ["chenci-go2", "legubiao-go2", "go1-climb"])
+@pytest.mark.parametrize("name", [nightly("chenci-go2"), "legubiao-go2", "go1-climb"])
 def test_the_right_cards_of_policies_that_walk_have_no_fault(name):
     told = probe_here(load_bundle(OTHERS / name))
     assert told.passed, probe_page(told)
@@ -466,7 +466,7 @@ def test_the_right_cards_of_policies_that_walk_have_no_fault(name):
 @needs_others
 @pytest.mark.parametrize(
     ("name", "unscaled"),
-    [("legubiao-go2", ()), ("go1-climb", ("ang_vel", "joint_vel", "command"))],
+    [("legubiao-go2", ()), nightly("go1-climb", ("ang_vel", "joint_vel", "command"))],
     ids=["order", "order and scales"],
 )
 def test_a_policy_that_never_turns_as_fast_as_it_is_told_is_told_its_cure(tmp_path, name, unscaled):
@@ -506,7 +506,7 @@ def test_a_default_pose_whose_hips_have_the_other_sign_is_told(tmp_path):
     [
         {"joints": [*ROBOT_ORDER[3:6], *ROBOT_ORDER[:3], *ROBOT_ORDER[9:], *ROBOT_ORDER[6:9]]},
         pytest.param({"action": "joint_position"}, marks=pytest.mark.nightly),
-        {"scale": 1.0},
+        nightly({"scale": 1.0}),
         pytest.param({"kp": 10}, marks=pytest.mark.nightly),
         {"default_pose": {"hip": 0.0, "thigh": 0.9, "calf": -1.8}},
     ],

@@ -40,7 +40,7 @@ observations: {body: {sensor: proprio, layout: parkour53}}
 WELCOME = {"invalid msgpack", "half a frame", "ten thousand pings", "pieces without an end"}
 WELCOME |= {"messages that nobody reads the answers of"}
 DAILY = {"half a request", "half closed", "TLS", "half a frame", "pieces without an end"}
-DAILY |= {"drips its headers", "a frame of a gigabyte", "pings alone"}
+DAILY |= {"drips its headers", "a frame of a gigabyte"}
 SOON = 60.0
 MEMORY = 600_000_000
 

@@ -57,7 +57,7 @@ def ply(path, points, colours=None):
     return path
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".las"])
+@pytest.mark.parametrize("suffix", [".ply", pytest.param(".las", marks=pytest.mark.nightly)])
 def test_ground_and_a_block_are_where_their_points_are(tmp_path, suffix):
     points = yard()
     source = tmp_path / f"yard{suffix}"

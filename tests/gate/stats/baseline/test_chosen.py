@@ -67,7 +67,11 @@ def flagged(
     ("scores", "waypoints", "trials", "starts"),
     [
         pytest.param(*scores_of(HURDLES), 10, STARTS, id="hurdles"),
-        pytest.param(falls(0.2, 16), np.ones(16, int), 10, STARTS, id="16 scenes, all or nothing"),
+        pytest.param(
+            *(falls(0.2, 16), np.ones(16, int), 10, STARTS),
+            id="16 scenes, all or nothing",
+            marks=pytest.mark.nightly,
+        ),
         pytest.param(
             falls(0.2, 2), np.ones(2, int), 10, STARTS_OF_FEW, id="2 scenes, all or nothing"
         ),

@@ -207,7 +207,7 @@ def test_bets_that_learn_see_a_change_of_five_times_what_is_tolerated():
     assert seen[False] <= 30
 
 
-@pytest.mark.parametrize("spread", [0.06, 0.3])
+@pytest.mark.parametrize("spread", [pytest.param(0.06, marks=pytest.mark.nightly), 0.3])
 def test_bets_that_learn_err_no_more_often_than_they_say(spread):
     rng, gates, wrong = np.random.default_rng(6), 400, np.zeros(2)
     for _ in range(gates):

@@ -119,6 +119,7 @@ def of_hurdles(drop: float, kind: str) -> tuple[Floats, Places, list[SceneCounts
     return np.where(nothing, 0.0, scores), scenes, seen
 
 
+@pytest.mark.nightly
 def test_of_open_runs_against_the_committed_hurdles_as_many_are_decided_as_is_said():
     budget, within = 320, {0.5: list[bool](), 0.9: list[bool]()}
     for drop, kind in product((0.03, 0.06, 0.08, 0.1), ("odds", "nothing")):
