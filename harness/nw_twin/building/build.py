@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -38,6 +38,7 @@ from nw_twin.align.align import align
 from nw_twin.align.alignment import AlignOptions, read_alignment, write_alignment
 from nw_twin.building.appearance import AppearanceOptions, check_held_out, train_splat
 from nw_twin.building.folder import BuildFolder, digest_of_files
+from nw_twin.building.page import write_page
 from nw_twin.building.pits import with_pits
 from nw_twin.building.unlike import (
     SURE,
@@ -346,12 +347,27 @@ class Build:
             findings += self._unlike_photographs(survey)
         for finding in findings:
             self._say(f"check: {finding}")
+        self._write_page(findings, survey)
         suite, wrong = shlex.quote(str(self.folder.scene / SUITE)), has_errors(findings)
         if wrong:
             self._say(f"check: fix the errors, then: nw-eval run {suite}")
         else:
             self._say(f"check: ready: nw-eval run {suite}")
         return not wrong
+
+    def _write_page(self, findings: Sequence[SceneFinding], survey: Survey | None) -> None:
+        """Write the page of the build where everything that it shows is still there."""
+        folder = self.folder
+        needed = (folder.capture / "capture.json", folder.mesh / "depth", folder.align)
+        if not all(path.exists() for path in (*needed, folder.splat / "splat.ply")):
+            return
+        try:
+            scene = load_folder(folder.scene, needs_scale=False)
+            write_page(folder, scene, self._robot(), findings, survey)
+        except SceneError as error:
+            self._say(f"check: no page: {error}")
+        else:
+            self._say(f"check: pictures, and how well all is known: {folder.page}")
 
     def _unlike_photographs(self, survey: Survey | None) -> list[SceneFinding]:
         """Return where the mesh along the course is not as its own photographs show it.

@@ -40,6 +40,7 @@ class BuildFolder:
         mesh/         depths and the mesh, in the capture's frame
         align.json    from the capture's frame to metres
         splat/        the Gaussians, in the capture's frame
+        page.html     pictures of it, and how well it is known
         trail.json    roughness, steps, slopes and differences from the depths along the course
         stamps.json   by stage, a digest of all that its result depends on
 
@@ -56,6 +57,7 @@ class BuildFolder:
         self.align = self.path / "align.json"
         self._is_held = False
         self.trail = self.path / "trail.json"
+        self.page = self.path / "page.html"
         self._results: dict[Stage, Path] = {
             "calibrate": self.capture / "capture.json",
             "reconstruct": self.mesh / "mesh.ply",

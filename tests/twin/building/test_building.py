@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
+from base64 import b64decode
 from dataclasses import replace
+from io import BytesIO
 
 import cv2
 import numpy as np
@@ -270,6 +273,42 @@ def test_the_ground_of_the_trail_is_measured_and_written_down(walked):
     assert max(row["photographs"] for row in written["stations"]) >= 2
     # The walk begins at x = -2, where the mesh has ground as well.
     assert load_folder(build.folder.scene).spawn.position[0] > -0.5
+    assert any(line.startswith("check: no page: ") for line in lines), "no photograph is there"
+
+
+def test_a_build_ends_with_a_page_of_what_is_known_and_what_is_not(walked):
+    build, lines = walked(quad_mesh((-5, -2, 0), (15, 0, 0), (0, 4, 0), "ground"), 1.5)
+    folder = build.folder
+    points = np.random.default_rng(0).uniform((-2, -1, 0), (6, 1, 0), (500, 3))
+    write_splat(folder.splat / "splat.ply", blobs(points, size=0.05))
+    (folder.splat / "report.json").write_text('{"psnr": 21.25, "views": [{"name": "a<b>.jpg"}]}')
+    (folder.mesh / "report.json").write_text('["of another kind"]')
+    for shot in read_capture(folder.capture).shots:
+        Image.new("RGB", (64, 36), (40, 80, 120)).save(folder.capture / shot.file)
+        depth = np.zeros((36, 64), np.float32)
+        depth[27:] = 1.5 * shot.camera.fy / (np.arange(27, 36)[:, None] + 0.5 - shot.camera.cy)
+        path = folder.mesh / "depth" / f"{shot.name}.npz"
+        write_arrays(path, depth=depth, confidence=np.ones_like(depth))
+    build.place()
+    build.check()
+    assert f"check: pictures, and how well all is known: {folder.page}" in lines
+    page = folder.page.read_text()
+    pictures = [
+        np.asarray(Image.open(BytesIO(b64decode(data))))
+        for data in re.findall(r"data:image/jpeg;base64,([\w+/=]+)", page)
+    ]
+    assert len(pictures) == 6
+    photograph, _, mesh, unknown, *_ = pictures
+    assert abs(photograph[18, 32].astype(int) - (40, 80, 120)).max() < 6
+    assert mesh[2, 32].min() > 245, "open above the horizon"
+    assert mesh[33, 32].max() < 130, "grey ground below it"
+    assert unknown[10, 32, 0] > 110, "red where no depth is known"
+    assert unknown[34, 32, 0] < 60, "as it was where one is"
+    assert "28 placed of 28" in page.replace("\u00a0", " ")
+    assert "21.2 dB" in page.replace("\u00a0", " ")
+    first = folder.page.read_bytes()
+    build.check()
+    assert folder.page.read_bytes() == first
 
 
 def test_a_place_without_room_for_a_trail_says_why_and_names_the_label_page(walked):
