@@ -62,6 +62,7 @@ class ForkServer:
         os.close(os.pidfd_open(os.getpid()))  # Linux 5.3 has it.
         self._line, theirs = Pipe()
         self._lock = threading.Lock()
+        self._learnt = {"__main__"}  # Of that name it has a module of its own.
         life, self._life = Pipe(duplex=False)  # It ends when this end is closed.
         # Not `multiprocessing`'s, which would print a traceback if this process were killed now.
         start = f"from {serve.__module__} import begin; "
@@ -90,9 +91,12 @@ class ForkServer:
         return self._process.poll() is None
 
     def learn(self, *modules: str) -> None:
-        """Let it import modules for all children to come, without waiting for it."""
+        """Let it import modules, each once, for all children to come, without waiting for it."""
         with self._lock, suppress(OSError):
-            self._line.send(_Request(kind="import", modules=modules))
+            new = tuple(module for module in modules if module not in self._learnt)
+            if new:
+                self._line.send(_Request(kind="import", modules=new))
+                self._learnt.update(new)
 
     def fork(
         self,
@@ -103,13 +107,14 @@ class ForkServer:
         """Start a process that calls a function, and wait for its start.
 
         Args:
-            function: of a module.
+            function: of a module, which the next children have from their start on.
             arguments: for it; what `pickle` takes.
             connections: more arguments for it, after the others. They remain the caller's too.
 
         Raises:
             OSError: there is no process to be had, or the fork server is gone.
         """
+        self.learn(function.__module__)
         theirs, orders = Pipe(duplex=False)
         passed = (theirs, *connections)
         with orders:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from io import BytesIO
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
@@ -22,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from nw_base.digest import digest_of
 from nw_base.errors import NwEvalError
 from nw_eval.api.evidence import KeptEvidence, WantedLog
-from nw_eval.api.evidence_log import PERIOD, SECONDS, Box, ReadClip, box_round, clip_of, sized
+from nw_eval.api.evidence_log import PERIOD, SECONDS, Box, ReadClip, box_round, clip_of, sized, webp
 from nw_eval.reporting.html.evidence import Film, LogEvidence, PlacePicture, PlaceView
 from nw_gate.results.provenance import code_info
 
@@ -512,8 +511,6 @@ def _from_above(scene: Scene, box: Sequence[float]) -> bytes:
     )
     picture = Image.fromarray(image.bytes())
     for quality in (70, 45, 20):
-        file = BytesIO()
-        picture.save(file, "WEBP", quality=quality)
-        if file.tell() <= _TOP_BYTES:
-            return file.getvalue()
+        if len(data := webp(picture, quality)) <= _TOP_BYTES:
+            return data
     return b""

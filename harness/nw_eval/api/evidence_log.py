@@ -436,16 +436,17 @@ def _webp(frames: Sequence[tuple[float, Image]], quality: int, *, end: float) ->
     times = [*(time for time, _ in frames), end]
     stands = [round(1000 * (later - time)) for time, later in pairwise(times)]
     stands[-1] += _HOLD
+    others = [image for _, image in frames[1:]]
+    return webp(frames[0][1], quality, save_all=True, append_images=others, duration=stands, loop=0)
+
+
+def webp(picture: Image, quality: int, **options: Any) -> bytes:
+    """Return a picture as WebP, with options of Pillow."""
+    # It is registered by that; to find it, Pillow would import all the formats that it knows.
+    from PIL import WebPImagePlugin  # noqa: F401 # pyright: ignore[reportUnusedImport]
+
     file = BytesIO()
-    frames[0][1].save(
-        file,
-        "WEBP",
-        quality=quality,
-        save_all=True,
-        append_images=[image for _, image in frames[1:]],
-        duration=stands,
-        loop=0,
-    )
+    picture.save(file, "WEBP", quality=quality, **options)
     return file.getvalue()
 
 
@@ -501,10 +502,8 @@ def picture_from_above(
         brush.polygon(corner, fill=grey)
     small = picture.reduce(_FINER)
     for quality in _QUALITIES:
-        file = BytesIO()
-        small.save(file, "WEBP", quality=quality)
-        if file.tell() <= most_bytes:
-            return file.getvalue()
+        if len(data := webp(small, quality)) <= most_bytes:
+            return data
     return b""
 
 

@@ -31,7 +31,13 @@ from nw_base.errors import (
 from nw_base.words import Kernels
 from nw_policies.line import use_line
 from nw_sim.rollout.confined.progress import Progress
-from nw_sim.rollout.confined.start import Started, WorldAndPolicy, parts_of, start_pair
+from nw_sim.rollout.confined.start import (
+    Started,
+    WorldAndPolicy,
+    parts_of,
+    prepare_call,
+    start_pair,
+)
 
 TIME_LIMIT = 120.0
 """Seconds; imports take a few of them, a slow disk a few more."""
@@ -134,6 +140,7 @@ class IsolatedCall:
     ) -> None:
         self.receiver, sender = Pipe(duplex=False)
         self._subject = subject
+        prepare_call(function)
         try:
             with sender:
                 self._process = start_pair(

@@ -173,6 +173,12 @@ def prepare_for(card: Card) -> None:
         fork_server.learn(_LIBRARY.get(card.adapter, "torch"))
 
 
+def prepare_call(function: Callable[..., Any]) -> None:
+    """Let a fork server that there is import the module of a function that will be called."""
+    if _fork_server is not None:
+        _fork_server.learn(function.__module__)
+
+
 def prepare_kernels() -> None:
     """Let a fork server that there is load the CPU renderer's kernels, if they have been compiled.
 
