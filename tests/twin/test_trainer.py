@@ -75,6 +75,36 @@ def test_every_photograph_has_its_turn_before_one_comes_again():
     assert len({tuple(turn) for turn in turns}) > 1
 
 
+def test_the_first_steps_learn_from_pictures_of_half_the_size_and_the_rest_from_whole_ones():
+    taken, config = photos(depth=True), replace(BUSY, iterations=20, coarse=0.4)
+    halves = [photo.halved() for photo in taken]
+    coarse = Trainer(taken, beginning(), config)
+    fine = Trainer(halves, beginning(), replace(config, coarse=0.0))
+    coarse.run(8)
+    fine.run(8)
+    assert _same(coarse.gaussians, fine.gaussians)
+    coarse.run(9)
+    fine.run(9)
+    assert not _same(coarse.gaussians, fine.gaussians)
+
+
+def test_a_picture_of_half_the_size_shows_the_same_place_with_means_of_four_pixels():
+    (photo, *_) = photos(depth=True)
+    odd = replace(photo.camera, width=71, height=47)
+    photo = replace(photo, camera=odd, rgb=photo.rgb[:47, :71].copy(), inverse_depth=None)
+    half = photo.halved()
+    assert half.rgb.shape == (23, 35, 3)
+    assert half.rgb[3, 4].tolist() == pytest.approx(
+        photo.rgb[6:8, 8:10].reshape(4, 3).mean(axis=0).tolist(), abs=0.5
+    )
+    # The middle of its pixel is the corner at which the four meet.
+    ways = [
+        ((column - c.cx) / c.fx, (row - c.cy) / c.fy)
+        for c, column, row in ((odd, 10.0, 8.0), (half.camera, 5.0, 4.0))
+    ]
+    assert ways[0] == pytest.approx(ways[1])
+
+
 def test_harmonics_begin_with_the_constant_and_come_degree_by_degree():
     config = replace(BUSY, strategy="fixed", exposure=False)
     trainer = Trainer(photos(), beginning(degree=2), config)
@@ -163,6 +193,7 @@ def test_a_training_of_nothing_is_refused():
     ("options", "words"),
     [
         ({"iterations": 0}, "iterations is 0"),
+        ({"coarse": 1.5}, "coarse is 1.5"),
         ({"ssim_weight": 1.5}, "ssim_weight is 1.5"),
         ({"seed": -1}, "seed is -1"),
         ({"depth_weight": -0.1}, "depth weight is -0.1"),

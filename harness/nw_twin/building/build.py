@@ -36,7 +36,7 @@ from nw_twin.align.ahead import (
 )
 from nw_twin.align.align import align
 from nw_twin.align.alignment import AlignOptions, read_alignment, write_alignment
-from nw_twin.building.appearance import AppearanceOptions, check_held_out, train_splat
+from nw_twin.building.appearance import COARSE, AppearanceOptions, check_held_out, train_splat
 from nw_twin.building.folder import BuildFolder, digest_of_files
 from nw_twin.building.page import write_page
 from nw_twin.building.pits import with_pits
@@ -514,7 +514,8 @@ def _matching(capture: Capture, settings: BuildSettings) -> tuple[float, float]:
 def _training(capture: Capture, settings: BuildSettings) -> tuple[float, float]:
     options = settings.splat
     least, each, pixel = _STEP_S
-    step = least + each * options.most / 2 + pixel * _pixels(capture, options.longest)
+    pixels = _pixels(capture, options.longest) * (1.0 - 0.75 * COARSE)
+    step = least + each * options.most / 2 + pixel * pixels
     return options.iterations * step, 0.4e9 + options.most * _GAUSSIAN_BYTES
 
 

@@ -25,7 +25,7 @@ _FORMATS: dict[Stage, int] = {
     "calibrate": 5,
     "reconstruct": 7,
     "align": 4,
-    "splat": 6,
+    "splat": 7,
     "place": 10,
 }
 """Each changes with what its stage makes of the same inputs."""

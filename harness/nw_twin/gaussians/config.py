@@ -111,6 +111,8 @@ class TrainConfig:
         ssim_weight: share of structural similarity in the photometric loss.
         depth_weight: of the inverse depth at the first step.
         depth_weight_last: at the last one; it falls exponentially.
+        coarse: share of the steps, the first ones, with pictures of half their size: they cost
+            less, and what is large is in place before details are learnt.
         widest: standard deviation that a Gaussian may have, as a share of its distance from the
             nearest camera; 0 = any. What is farther from all than the capture is large has none.
         exposure: whether each photograph gets an affine map of colours.
@@ -131,6 +133,7 @@ class TrainConfig:
     ssim_weight: float = 0.2
     depth_weight: float = 1.0
     depth_weight_last: float = 0.01
+    coarse: float = 0.0
     widest: float = 0.0
     exposure: bool = True
     rates: Rates = field(default_factory=Rates)
@@ -148,7 +151,7 @@ class TrainConfig:
                 raise UsageError(
                     f"training's {name} is {getattr(self, name)}", fix="give 1 or more"
                 )
-        for owner, names in ((self, ("ssim_weight",)), (self.rates, _names(self.rates))):
+        for owner, names in ((self, ("ssim_weight", "coarse")), (self.rates, _names(self.rates))):
             for name in names:
                 value = getattr(owner, name)
                 if not 0.0 <= value <= 1.0:

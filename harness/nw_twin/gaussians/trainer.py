@@ -40,7 +40,7 @@ _LIMIT_EVERY = 10
 _PRUNED = frozenset({5, 6, 7, 8, 9})
 """Tenths of a training after which floaters are removed; what is left learns on."""
 
-FORMAT = 4
+FORMAT = 5
 """Changes with the arrays of a checkpoint, and with what a step does to them."""
 
 _PARTS = ("values", "mean", "square")
@@ -104,6 +104,7 @@ class Trainer:
                 fix="give at least one of each",
             )
         self.photos, self.config = tuple(photos), config
+        self._coarse = tuple(photo.halved() for photo in photos) if config.coarse > 0.0 else ()
         self.iteration = 0
         self.began = digest(start)
         self.extent = extent_of(photos)
@@ -139,6 +140,16 @@ class Trainer:
         """Whether all steps are done."""
         return self.iteration >= self.config.iterations
 
+    @property
+    def steps_left(self) -> tuple[int, int]:
+        """Steps to come: with pictures of half the size, and with whole ones."""
+        coarse = max(0, self._coarse_steps - self.iteration)
+        return coarse, self.config.iterations - self.iteration - coarse
+
+    @property
+    def _coarse_steps(self) -> int:
+        return int(self.config.coarse * self.config.iterations)
+
     def run(
         self, until: int | None = None, report: Callable[[TrainStep], None] | None = None
     ) -> None:
@@ -162,7 +173,7 @@ class Trainer:
         """
         config, rates, population = self.config, self.config.rates, self.population
         number, share = self._next_photo(), self.iteration / max(1, self.config.iterations - 1)
-        photo = self.photos[number]
+        photo = (self._coarse if self.iteration < self._coarse_steps else self.photos)[number]
         degree = min(population.gaussians.sh_degree, self.iteration // config.sh_every)
         images = self._rasteriser.render(population.gaussians, photo.camera, sh_degree=degree)
         compared = compare(
