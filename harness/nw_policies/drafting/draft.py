@@ -19,6 +19,7 @@ from nw_base.clean import clean
 from nw_base.errors import PolicyError, nearest
 from nw_base.files.inside import what_is
 from nw_policies.bundle import SIZE_LIMIT
+from nw_policies.cards.control import MOST_PHYSICS_RATE, PHYSICS_RATE
 from nw_policies.cards.joints import short_name
 from nw_policies.drafting.beside import believed, read_beside, refuse_another_robot
 from nw_policies.drafting.checkpoint import (
@@ -110,7 +111,7 @@ def write_card_draft(
     widths = [array.shape[-1] or 0 for array in facts.inputs if array.shape]
     widths = widths or [argument.size or 0 for argument in facts.script]
     size = (widths[0] if len(widths) == 1 else 0) or facts.taken
-    known = read_beside(beside or {}, robot, facts.path.name, facts.exporter, size)
+    known = read_beside(beside or {}, robot, str(facts.path), facts.exporter, size)
     pipeline = pipeline_of(beside or {}, facts.path.name)
     if pipeline is not None:
         known = with_pipeline(*pipeline, facts, known)
@@ -247,7 +248,7 @@ def _widths(facts: CheckpointFacts, robot: RobotSpec, beside: Mapping[str, str])
     guessed = widths_to_try(facts)
     if not guessed or pipeline_of(beside, facts.path.name) is not None:
         return ()
-    known = read_beside(beside, robot, facts.path.name, facts.exporter)
+    known = read_beside(beside, robot, str(facts.path), facts.exporter)
     terms = sized_terms(known.observation_terms, len(robot.joints)) if known else ()
     sizes = [(term.width or 0) * (term.history or 1) for term in terms]
     named = (sum(sizes),) if sizes and all(sizes) else ()
@@ -482,12 +483,23 @@ def _rates(known: ExporterMetadata) -> list[str]:
     elif rate in {50, 25, 10, 5, 2, 1}:
         lines = [f"  rate: {number(rate)}{_from(known, 'rate')}"]
     else:
-        said = f"{known.sources.get('rate', 'the file')} says {number(rate)}"
-        lines = [f"  rate: 50  {CHECK} {said}, which does not divide 50: the policy is run slower"]
+        return _own_rates(known, rate)
     if physics not in {None, 200}:
         said = f"{known.sources.get('physics_rate', 'the file')} says {number(physics or 0)}"
         lines.append(f"  # physics_rate: 200  {said}; the protocol takes 200 alone")
     return lines
+
+
+def _own_rates(known: ExporterMetadata, rate: float) -> list[str]:
+    """Return the lines of a rate that does not divide 50, with physics of whole steps of it."""
+    wanted = (known.physics_rate or PHYSICS_RATE, *range(PHYSICS_RATE, MOST_PHYSICS_RATE + 1))
+    fits = (p for p in wanted if PHYSICS_RATE <= p <= MOST_PHYSICS_RATE and p % 1 == 0)
+    physics = next((p for p in fits if p / rate >= 1 and abs(p / rate - round(p / rate)) < 1e-6), 0)
+    source = known.sources.get("rate", "the file")
+    if not 1 <= rate <= MOST_PHYSICS_RATE or not physics:
+        return [f"  rate: 50  {CHECK} {source} says {number(rate)}, which no card can have"]
+    note = f"{source}; a suite of the protocol neverwhere-2026 takes 50 alone"
+    return [f"  rate: {number(rate)}  # {note}", f"  physics_rate: {number(physics)}"]
 
 
 def _action(

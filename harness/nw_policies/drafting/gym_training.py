@@ -1,6 +1,7 @@
 """Trainings in Isaac Gym: the classes of legged_gym's configuration, as forks save them in YAML.
 
-walk-these-ways and dribblebot put all of it under `Cfg`. What the policy sees is not in such files.
+walk-these-ways and dribblebot put all of it under `Cfg`. What the policy sees is not in such files,
+but in code (`training_code`).
 The joints are in the order of Isaac Gym, which sorts legs by their names.
 """
 
@@ -14,6 +15,8 @@ from nw_policies.drafting.fields import Fields, number_of, per_second
 from nw_policies.drafting.layouts import LEG_BY_LEG
 from nw_policies.drafting.motors import Group, late_steps, named_network
 from nw_scenes.robots import RobotSpec
+
+IN_CODE = "the training computes what the policy sees in its own code"
 
 
 def _config(data: Fields) -> Fields:
@@ -43,7 +46,12 @@ def read_gym_training(data: Fields, robot: RobotSpec, _: Sequence[Fields]) -> Ex
     pose = config.below("init_state").below("default_joint_angles")
     angles = [pose.number(name, f"{name}_joint") for name in names]
     step, every = config.below("sim").number("dt"), control.number("decimation")
-    clip = config.below("normalization").number("clip_actions")
+    normal, ranges = config.below("normalization"), config.below("commands").below("ranges")
+    clip = normal.number("clip_actions")
+    speeds = {
+        key: ranges.numbers(theirs)
+        for key, theirs in (("lin_vel_x",) * 2, ("lin_vel_y",) * 2, ("ang_vel_z", "ang_vel_yaw"))
+    }
     scale, hips = control.number("action_scale"), control.number("hip_scale_reduction")
     by_joint = [scale * (hips or 1.0) if "hip" in n else scale for n in names] if scale else []
     return ExporterMetadata(
@@ -58,9 +66,11 @@ def read_gym_training(data: Fields, robot: RobotSpec, _: Sequence[Fields]) -> Ex
         action_clip=(-clip, clip) if clip else None,
         rate=per_second(step * every if step and every else None),
         physics_rate=per_second(step),
+        speeds={key: (low[0], low[1]) for key, low in speeds.items() if len(low) == 2},
+        observation_clip=normal.number("clip_observations"),
         motors=_motors(config, per_second(step)),
         guessed_order=None not in angles,
-        notes=("the training computes what the policy sees in its own code",),
+        notes=(IN_CODE,),
     )
 
 
