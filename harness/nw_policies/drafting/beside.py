@@ -37,8 +37,10 @@ _MOST = 24
 """Files that are looked at."""
 _MOST_CODE = 120
 """Files of a training's code."""
-_HIGHEST = 7
+_HIGHEST = 8
 """Folders from a checkpoint up in which such code is looked for."""
+_OF_ROOT = (".git", "setup.py", "pyproject.toml")
+"""What the top of a repository has."""
 _FOLDERS = (".", "params", "io_descriptors", "config", "configs")
 _ABOVE = (".", "params", "io_descriptors", "config", "configs")
 _PRETRAINED = frozenset({"pre_train", "pretrain", "pretrained"})
@@ -108,19 +110,21 @@ def _texts(files: Sequence[tuple[str, Path]], most: int) -> dict[str, str]:
 
 
 def _code(folder: Path) -> list[tuple[str, Path]]:
-    """Return the files of a training in Isaac Gym whose repository a checkpoint lies in.
+    """Return the files of a training in Isaac Gym, of the repository that a checkpoint lies in.
 
-    Its tasks are registered in `envs/__init__.py`, in or below a folder above the checkpoint.
+    Its tasks are registered in `envs/__init__.py`, in or below a folder above the checkpoint. What
+    lies outside of the repository is not looked at: it is of other policies.
     """
-    for up, place in enumerate([folder, *folder.parents][:_HIGHEST]):
-        for pattern in ("envs", "*/envs", "*/*/envs"):
-            for envs in sorted(place.glob(pattern)):
-                register = envs / "__init__.py"
-                if what_is(register) == "file" and b".register(" in register.read_bytes():
-                    return [
-                        (f"{'../' * up}{path.relative_to(place).as_posix()}", path)
-                        for path in sorted(envs.rglob("*.py"))
-                    ]
+    places = [folder, *folder.parents][:_HIGHEST]
+    ends = [up for up, place in enumerate(places) if any((place / n).exists() for n in _OF_ROOT)]
+    for up, place in enumerate(places[: ends[0] + 1] if ends else ()):
+        for envs in (place / "envs", *sorted(place.glob("*/envs"))):
+            register = envs / "__init__.py"
+            if what_is(register) == "file" and b".register(" in register.read_bytes():
+                return [
+                    (f"{'../' * up}{path.relative_to(place).as_posix()}", path)
+                    for path in sorted(envs.rglob("*.py"))
+                ]
     return []
 
 
@@ -335,7 +339,10 @@ def _about(
     # A policy of another size is another policy: its gains and pose say nothing of this one.
     fits = [pair for pair in several if not (pair[1].input_size and size % pair[1].input_size)]
     best = min((unlikeness(said) for _, said in fits), default=None)
-    return [(name, said) for name, said in fits if unlikeness(said) == best]
+    alike = [(name, said) for name, said in fits if unlikeness(said) == best]
+    # Copies and drafts of a deploy.yaml lie beside it.
+    exported = [pair for pair in alike if f"/{pair[0]}".endswith("/params/deploy.yaml")]
+    return exported or alike
 
 
 def merged(one: ExporterMetadata, other: ExporterMetadata) -> ExporterMetadata:
