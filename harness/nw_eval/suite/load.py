@@ -20,12 +20,13 @@ from typing import Any, cast
 from pydantic import ValidationError
 from ruamel.yaml import YAML
 
-from nw_base.errors import Problem, SuiteError, UsageError, nearest
+from nw_base.errors import PolicyError, Problem, SuiteError, UsageError, nearest
 from nw_base.files.cache import atomic_path, followed
 from nw_base.files.inside import regular, what_is
 from nw_base.files.shipped import available
 from nw_base.files.yaml_file import YamlProblems, read_yaml, validation_problems
 from nw_eval.suite.model import Source, Suite, new_suite
+from nw_policies.bundle import motion_file
 from nw_sim.rendering import DRAFTED
 
 
@@ -107,12 +108,34 @@ def draft_suite(name_or_path: str | Path, search: Path | None = None) -> Draft:
         lines = {problem.line for problem in problems}
         more = validation_problems(error, file, Suite)
         problems += [p for p in more if not (p.line in lines and "None" in p.message)]
+    if suite is not None:
+        suite = _with_motion(suite, problems)
     return Draft(
         source=source,
         settings=file.data,
         problems=tuple(sorted(problems, key=lambda problem: (problem.line, problem.column))),
         suite=None if problems else suite,
     )
+
+
+def _with_motion(suite: Suite, problems: list[Problem]) -> Suite:
+    """Return a suite with the digest of the motion that its task names; add what is wrong."""
+    if suite.motion is None:
+        return suite
+    named, place = cast("Any", suite.task).motion, ("task", "motion", "file")
+    try:
+        found = motion_file(suite.motion, suite.base)
+    except PolicyError as error:
+        text = f"task.motion.file: {error.message}"
+        problems.append(suite.source.problem(place, text, error.fix))
+        return suite
+    if named.sha256 not in {None, found.sha256}:
+        said = f"task.motion.sha256: the SHA-256 of {named.file} is {found.sha256}"
+        fix = "get the right file, or correct `sha256` if this one is meant"
+        problems.append(suite.source.problem((*place[:2], "sha256"), said, fix))
+    motion = named.model_copy(update={"sha256": found.sha256})
+    task = suite.task.model_copy(update={"motion": motion})
+    return suite.model_copy(update={"task": task})
 
 
 def load_suite(name_or_path: str | Path, search: Path | None = None) -> Suite:

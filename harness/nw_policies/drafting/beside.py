@@ -227,12 +227,21 @@ def _read_files(
     texts: Mapping[str, str], robot: RobotSpec, checkpoint: str, size: int
 ) -> list[tuple[int, ExporterMetadata]]:
     """Return what each file says that is about a checkpoint, and the index of its kind."""
+    code = {name: text for name, text in texts.items() if name.endswith(".py")}
+    read, saved = _read_settings(
+        {name: text for name, text in texts.items() if name not in code}, robot, checkpoint, size
+    )
+    said = read_training_code(code, robot, checkpoint, size, saved) if code else None
+    return read if said is None else _with_code(read, said)
+
+
+def _read_settings(
+    texts: Mapping[str, str], robot: RobotSpec, checkpoint: str, size: int
+) -> tuple[list[tuple[int, ExporterMetadata]], Mapping[str, Any] | None]:
+    """Return what YAML and JSON files say, and the saved settings of a training in Isaac Gym."""
     parsed: dict[str, Fields] = {}
     left: dict[str, str] = {}
-    code = {name: text for name, text in texts.items() if name.endswith(".py")}
     for name, text in texts.items():
-        if name in code:
-            continue
         try:
             parsed[name] = Fields(parse_yaml(text, file=name, foreign=True).data)
         except YamlProblems as problems:
@@ -255,9 +264,7 @@ def _read_files(
         elif why:
             notes.append(f"{plain(name)} was not read: {plain(why)}")
     read = [*_by_belief(by_kind, parsed, robot, checkpoint, size), *_noted(notes)]
-    saved = settings_of(list(parsed.values()))
-    said = read_training_code(code, robot, checkpoint, size, saved) if code else None
-    return read if said is None else _with_code(read, said)
+    return read, settings_of(list(parsed.values()))
 
 
 def _with_code(

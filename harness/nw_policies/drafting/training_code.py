@@ -153,7 +153,8 @@ def read_training_code(
         return None
     best = max(score for score, _ in fits)
     named = [(task, said) for score, (task, said) in fits if score == best]
-    (task, said), others = named[0], [task.name for task, other in named[1:] if other != named[0][1]]
+    task, said = named[0]
+    others = [other.name for other, theirs in named[1:] if theirs != said]
     file = (classes.of(task.environment) or ("",))[0]
     note = (
         f"its terms and settings are those of the task {task.name} in {plain(file)}, whose code "
@@ -165,9 +166,7 @@ def read_training_code(
     return replace(said, notes=(plain(note), *said.notes), sources=marked)
 
 
-def _likeness(
-    task: _Task, classes: _Classes, robot: RobotSpec, path: str
-) -> tuple[int, bool]:
+def _likeness(task: _Task, classes: _Classes, robot: RobotSpec, path: str) -> tuple[int, bool]:
     """Return how well the names of a task are those of a checkpoint's path and of its robot."""
     names = [_letters(task.name), _letters(_experiment(classes.settings(task.trainer)))]
     lengths = [len(name) for name in names if name and name in _letters(path)]

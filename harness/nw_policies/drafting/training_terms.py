@@ -159,9 +159,8 @@ class _Reading:
                 value: Any = UNKNOWN
                 if isinstance(node, ast.Attribute) and node.attr in _PERIODS:
                     value = constant(node, self.names)
-                elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
-                    if node.targets[0].id in _PERIODS:
-                        value = constant(node.value, self.names)
+                elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in _PERIODS:
+                    value = constant(node.value, self.names)
                 if _is_number(value) and value > 0:
                     found.add(float(value))
         return found.pop() if len(found) == 1 else None
@@ -364,6 +363,4 @@ def seen_terms(environment: Environment) -> Row:
         return ()
     form = f"order: {'newest_first' if newest_first else 'oldest_first'}, by: step"
     clip = (float("-inf"), float("inf"))
-    return tuple(
-        replace(term, history=steps, form=form, clip=term.clip or clip) for term in frame
-    )
+    return tuple(replace(term, history=steps, form=form, clip=term.clip or clip) for term in frame)

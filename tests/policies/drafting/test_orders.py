@@ -105,7 +105,9 @@ def test_a_deploy_config_with_an_estimator_is_of_frames_newest_first(size, card_
 def test_a_scripts_permutation_of_mujocos_joints_is_the_order_in_either_direction(
     key, places, card_of
 ):
-    config = GYM.replace("joint2motor_idx: [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]", f"{key}: {places}")
+    config = GYM.replace(
+        "joint2motor_idx: [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]", f"{key}: {places}"
+    )
     config = config.replace("num_obs: 45", "num_obs: 180\nhistory_length: 4\naction_clip: 3")
     _, card = card_of(180, {"configs/go2.yaml": config})
     assert card.control.joints == BY_TYPE

@@ -43,8 +43,10 @@ class Go2Cfg(BaseCfg):
     class init_state:
         default_joint_angles = {
             'FL_hip_joint': 0.1, 'RL_hip_joint': 0.1, 'FR_hip_joint': -0.1, 'RR_hip_joint': -0.1,
-            'FL_thigh_joint': 0.8, 'RL_thigh_joint': 1., 'FR_thigh_joint': 0.8, 'RR_thigh_joint': 1.,
-            'FL_calf_joint': -1.5, 'RL_calf_joint': -1.5, 'FR_calf_joint': -1.5, 'RR_calf_joint': -1.5,
+            'FL_thigh_joint': 0.8, 'RL_thigh_joint': 1.0,
+            'FR_thigh_joint': 0.8, 'RR_thigh_joint': 1.0,
+            'FL_calf_joint': -1.5, 'RL_calf_joint': -1.5,
+            'FR_calf_joint': -1.5, 'RR_calf_joint': -1.5,
         }
     class control:
         stiffness = {'joint': 20.}
