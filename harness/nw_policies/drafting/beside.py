@@ -22,7 +22,7 @@ from nw_policies.cards.joints import short_name
 from nw_policies.drafting.checkpoint import CheckpointFacts, ExporterMetadata
 from nw_policies.drafting.configs import reader_of
 from nw_policies.drafting.fields import Fields, account
-from nw_policies.drafting.gym_training import IN_CODE
+from nw_policies.drafting.gym_training import IN_CODE, pickled_settings
 from nw_policies.drafting.leapp import pipeline_checkpoint
 from nw_policies.drafting.notation import plain
 from nw_policies.drafting.patterns import reordered
@@ -41,6 +41,8 @@ _HIGHEST = 8
 """Folders from a checkpoint up in which such code is looked for."""
 _OF_ROOT = (".git", "setup.py", "pyproject.toml")
 """What the top of a repository has."""
+_PICKLES = ("parameters.pkl", "../parameters.pkl")
+"""Where walk-these-ways and its forks keep their settings."""
 _FOLDERS = (".", "params", "io_descriptors", "config", "configs")
 _ABOVE = (".", "params", "io_descriptors", "config", "configs")
 _PRETRAINED = frozenset({"pre_train", "pretrain", "pretrained"})
@@ -82,7 +84,7 @@ def files_beside_checkpoint(checkpoint: Path, robot: str = "") -> dict[str, str]
     meant, by their names or by the folder of the checkpoint. JSON is called as the checkpoint is.
     """
     folder = checkpoint.parent
-    own = [f"{checkpoint.stem}.json", "asset_meta.json", "config.json"]
+    own = [f"{checkpoint.stem}.json", "asset_meta.json", "config.json", *_PICKLES]
     files = [(name, folder / name) for name in own if (folder / name).exists()]
     for name in _FOLDERS:
         files += _yaml_files(folder / name, "" if name == "." else f"{name}/")
@@ -103,7 +105,9 @@ def _texts(files: Sequence[tuple[str, Path]], most: int) -> dict[str, str]:
         try:
             is_ours = what_is(path) == "file" and path.stat().st_size <= _LARGEST
             if is_ours and len(texts) < most:
-                texts[name] = path.read_bytes().decode("utf-8")
+                # Bytes of a pickle are kept as letters of the same numbers.
+                letters = "latin-1" if name in _PICKLES else "utf-8"
+                texts[name] = path.read_bytes().decode(letters)
         except (OSError, UnicodeDecodeError):
             continue
     return texts
@@ -239,13 +243,7 @@ def _read_settings(
     texts: Mapping[str, str], robot: RobotSpec, checkpoint: str, size: int
 ) -> tuple[list[tuple[int, ExporterMetadata]], Mapping[str, Any] | None]:
     """Return what YAML and JSON files say, and the saved settings of a training in Isaac Gym."""
-    parsed: dict[str, Fields] = {}
-    left: dict[str, str] = {}
-    for name, text in texts.items():
-        try:
-            parsed[name] = Fields(parse_yaml(text, file=name, foreign=True).data)
-        except YamlProblems as problems:
-            left[name] = str(problems.problems[0].message) if text.strip() else ""
+    parsed, left = _parsed(texts)
     by_kind: dict[str, list[tuple[str, ExporterMetadata]]] = {}
     for name, data in parsed.items():
         kind, reader = reader_of(Fields(data))  # Of a copy: to look is not to read.
@@ -265,6 +263,23 @@ def _read_settings(
             notes.append(f"{plain(name)} was not read: {plain(why)}")
     read = [*_by_belief(by_kind, parsed, robot, checkpoint, size), *_noted(notes)]
     return read, settings_of(list(parsed.values()))
+
+
+def _parsed(texts: Mapping[str, str]) -> tuple[dict[str, Fields], dict[str, str]]:
+    """Return the fields of each file, and why the others have none."""
+    parsed: dict[str, Fields] = {}
+    left: dict[str, str] = {}
+    for name, text in texts.items():
+        try:
+            if name in _PICKLES:
+                parsed[name] = pickled_settings(text.encode("latin-1"), name)
+            else:
+                parsed[name] = Fields(parse_yaml(text, file=name, foreign=True).data)
+        except PolicyError as error:
+            left[name] = error.message
+        except YamlProblems as problems:
+            left[name] = str(problems.problems[0].message) if text.strip() else ""
+    return parsed, left
 
 
 def _with_code(
