@@ -16,10 +16,11 @@ from typing import Any, cast
 
 from nw_policies.cards.joints import short_name
 from nw_policies.drafting.checkpoint import ExporterMetadata
+from nw_policies.drafting.constants import follow_settings
 from nw_policies.drafting.fields import Fields
 from nw_policies.drafting.gym_training import is_gym_training, read_gym_training
 from nw_policies.drafting.notation import plain
-from nw_policies.drafting.training_terms import UNKNOWN, Environment, constant, seen_terms
+from nw_policies.drafting.training_terms import Environment, seen_terms
 from nw_scenes.robots import RobotSpec
 
 _DEEPEST = 12
@@ -79,13 +80,8 @@ class _Classes:
         for line in node.body:
             if isinstance(line, ast.ClassDef):
                 values[line.name] = self._inner(line, file, depth + 1)
-            elif isinstance(line, ast.Assign | ast.AnnAssign) and line.value is not None:
-                value = constant(line.value, values)
-                for target in line.targets if isinstance(line, ast.Assign) else [line.target]:
-                    if isinstance(target, ast.Name):
-                        values.pop(target.id, None)
-                        if value is not UNKNOWN:
-                            values[target.id] = value
+            else:
+                follow_settings(line, values)
         return values
 
     def methods(self, name: str, file: str = "", depth: int = 0) -> dict[str, ast.FunctionDef]:

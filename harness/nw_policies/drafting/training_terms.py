@@ -14,12 +14,10 @@ from dataclasses import dataclass, replace
 from typing import Any, cast
 
 from nw_policies.drafting.checkpoint import ExportedTerm, HeightGrid
+from nw_policies.drafting.constants import UNKNOWN, constant, is_number
 
-UNKNOWN = object()
-"""In place of a value that is not a constant."""
 _MOST = 200
-"""Terms of a row, and entries of a list that is repeated."""
-_LARGEST = 1e12
+"""Terms of a row."""
 _PERIODS = ("cycle_time", "period", "gait_period")
 _SAME = frozenset(
     {"clone", "unsqueeze", "squeeze", "view", "reshape", "flatten", "detach", "float", "to", "clip"}
@@ -50,72 +48,6 @@ class Environment:
     joints: int
 
 
-def constant(node: ast.expr, names: Mapping[str, Any]) -> Any:
-    """Return what an expression of constants is, or `UNKNOWN`.
-
-    Args:
-        node: of the tree of a file.
-        names: what is known so far of the same class.
-    """
-    match node:
-        case ast.Constant(value=value):
-            return value
-        case ast.Name(id=name):
-            return names.get(name, UNKNOWN)
-        case ast.Attribute(value=base, attr=name):
-            inner = constant(base, names)
-            return inner.get(name, UNKNOWN) if isinstance(inner, dict) else UNKNOWN
-        case ast.List(elts=items) | ast.Tuple(elts=items):
-            values = [constant(item, names) for item in items]
-            return UNKNOWN if UNKNOWN in values else values
-        case ast.Dict(keys=keys, values=items):
-            pairs = [
-                (constant(key, names), constant(item, names))
-                for key, item in zip(keys, items, strict=True)
-                if key is not None
-            ]
-            return {k: v for k, v in pairs if isinstance(k, str) and v is not UNKNOWN}
-        case ast.UnaryOp(op=ast.USub(), operand=operand):
-            value = constant(operand, names)
-            return -value if _is_number(value) else UNKNOWN
-        case ast.Call(func=ast.Name(id="int" | "float" | "round" as kind), args=[inner]):
-            value = constant(inner, names)
-            if not _is_number(value):
-                return UNKNOWN
-            return float(value) if kind == "float" else int(value)
-        case ast.BinOp(left=left, op=op, right=right):
-            return _computed(constant(left, names), op, constant(right, names))
-        case _:
-            return UNKNOWN
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _computed(left: Any, op: ast.operator, right: Any) -> Any:
-    if isinstance(left, list) and isinstance(op, ast.Mult) and isinstance(right, int):
-        items = cast("list[Any]", left)
-        return items * right if len(items) * max(right, 0) <= _MOST else UNKNOWN
-    if not _is_number(left) or not _is_number(right) or max(abs(left), abs(right)) > _LARGEST:
-        return UNKNOWN
-    match op:
-        case ast.Add():
-            return left + right
-        case ast.Sub():
-            return left - right
-        case ast.Mult():
-            return left * right
-        case ast.Div() if right:
-            return left / right
-        case ast.FloorDiv() if right:
-            return left // right
-        case ast.Pow() if 0 < left <= 10 and 0 <= right <= 30:
-            return left**right
-        case _:
-            return UNKNOWN
-
-
 Row = tuple[ExportedTerm, ...]
 
 
@@ -142,13 +74,15 @@ class _Reading:
         """Return the factors of the command, from where the environment sets them."""
         for method in self.about.methods.values():
             for line in ast.walk(method):
-                if isinstance(line, ast.Assign) and ast.unparse(line.targets[0]).endswith(
-                    "self.commands_scale"
-                ):
-                    call = line.value
-                    value = constant(call.args[0], self.names) if _is_call(call) else UNKNOWN
-                    if isinstance(value, list) and all(map(_is_number, value)):
-                        return tuple(map(float, cast("list[float]", value)[:3]))
+                match line:
+                    case ast.Assign(targets=[target], value=ast.Call(args=[factors, *_])) if (
+                        ast.unparse(target) == "self.commands_scale"
+                    ):
+                        value = constant(factors, self.names)
+                    case _:
+                        continue
+                if isinstance(value, list) and all(map(is_number, cast("list[Any]", value))):
+                    return tuple(map(float, cast("list[float]", value)[:3]))
         return ()
 
     def _period(self) -> float | None:
@@ -161,7 +95,7 @@ class _Reading:
                     value = constant(node, self.names)
                 elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in _PERIODS:
                     value = constant(node.value, self.names)
-                if _is_number(value) and value > 0:
+                if is_number(value) and value > 0:
                     found.add(float(value))
         return found.pop() if len(found) == 1 else None
 
@@ -296,7 +230,7 @@ class _Reading:
         if "commands_scale" in ast.unparse(node):
             return self.factors
         value = constant(node, self.names)
-        return (float(value),) if _is_number(value) else ()
+        return (float(value),) if is_number(value) else ()
 
     def _part(self, base: ast.expr, part: ast.expr) -> Row | None:
         """Return the numbers of a term that a slice keeps: the first ones, or all."""
@@ -318,10 +252,6 @@ class _Reading:
                 break
             kept.append(term)
         return tuple(kept) if sum(each.width or 0 for each in kept) == high else None
-
-
-def _is_call(node: ast.expr) -> bool:
-    return isinstance(node, ast.Call) and bool(node.args)
 
 
 def _path(text: str) -> ast.expr:
@@ -348,7 +278,7 @@ def seen_terms(environment: Environment) -> Row:
     unknown = [index for index, term in enumerate(frame) if not term.width]
     own = reading.names["self"]
     total = own.get("num_observations", UNKNOWN)
-    if not frame or len(unknown) == len(frame) or not _is_number(total):
+    if not frame or len(unknown) == len(frame) or not is_number(total):
         return ()
     single = next(
         (own[key] for key in ("num_single_obs", "num_one_step_observations") if key in own), total

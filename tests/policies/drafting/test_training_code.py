@@ -156,6 +156,35 @@ def test_settings_are_the_constants_of_the_class_and_of_those_below_it(card_of):
     assert card.trained_speeds["ang_vel_z"] == (-0.4, 0.4)
 
 
+def test_loops_over_lists_and_ranges_fill_the_mappings_of_settings(card_of):
+    start = CONFIG.index("        default_joint_angles")
+    end = CONFIG.index("    class control", start)
+    loops = """        default_joint_angles, odd = {}, nothing()
+        for side, hip in zip(['L', 'R'], [0.1, -0.1]):
+            for number, leg in enumerate('FR'):
+                default_joint_angles[f'{leg}{side}_hip_joint'] = hip
+                default_joint_angles[f'{leg}{side}_thigh_joint'] = 0.8 + 0.2 * number
+                default_joint_angles[f'{leg}{side}_calf_joint'] = -1.5
+"""
+    _, card = card_of(
+        141, beside(go2_config=CONFIG[:start] + loops + CONFIG[end:]), name=CHECKPOINT
+    )
+    assert card.control.default_pose == [
+        0.1,
+        0.8,
+        -1.5,
+        -0.1,
+        0.8,
+        -1.5,
+        0.1,
+        1,
+        -1.5,
+        -0.1,
+        1,
+        -1.5,
+    ]
+
+
 def test_frames_that_follow_the_present_one_are_newest_first(card_of):
     _, card = card_of(270, beside(), name=CHECKPOINT)
     assert words(card) == ["command", "ang_vel", "gravity", "joint_pos", "joint_vel", "last_output"]
@@ -224,6 +253,12 @@ def test_code_outside_of_the_repository_is_not_looked_at(root, card_of):
         pytest.param(f"x = {'(' * 150}1{')' * 150}\n", id="deep"),
         pytest.param(CONFIG.replace("6 * 45", "9 ** 9 ** 9 ** 9"), id="a large number"),
         pytest.param(CONFIG.replace("12\n", "None or 12\n", 1), id="what is computed"),
+        pytest.param(
+            "class Go2Cfg:\n"
+            + "".join(f"{' ' * (n + 1)}for x{n} in range(10**9):\n" for n in range(9))
+            + f"{' ' * 10}y = x0\n",
+            id="many turns",
+        ),
     ],
 )
 def test_odd_code_is_no_fault_of_the_draft(odd, card_of):
