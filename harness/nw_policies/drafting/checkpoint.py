@@ -103,6 +103,8 @@ class ExportedTerm:
     """Further keys of the term on a card, such as a clock's frequency."""
     grid: HeightGrid | None = None
     """Of a scan of heights."""
+    every: int | None = None
+    """Actions from one frame of an image to the next."""
     own: str = ""
     """Its term on a card, where the reader of the file knows it with `width` and `keys`."""
     select: tuple[int, ...] = ()

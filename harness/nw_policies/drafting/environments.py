@@ -80,7 +80,8 @@ def manager_term(
     scale = scale_of(term, "scale")
     limits = term.limits("clip")
     steps = steps or term.number("history_length")
-    period = term.below("params").number("period")
+    params = term.below("params")
+    period, skipped = params.number("period"), params.number("history_skip_frames") or 0.0
     flat = term.get("flatten_history_dim")
     return ExportedTerm(
         name=name,
@@ -90,6 +91,7 @@ def manager_term(
         history=min(max(int(steps or 0), 1), 100),
         flat_history=flat if isinstance(flat, bool) else None,
         width=len(scale) if scale and len(scale) > 1 else None,
+        every=int(skipped) if 1 <= skipped <= 50 else None,
         form=f"order: oldest_first, by: {'step' if by_step else 'term'}",
         keys=f"frequency: {1 / period:g}" if period and "phase" in name else "",
     )
