@@ -287,7 +287,7 @@ def _with_code(
 ) -> list[tuple[int, ExporterMetadata]]:
     """Return what files say with the terms of a training's code, which a deploy config lacks."""
     guessed, saved = _ORDER.index("gym"), _ORDER.index("gym_training")
-    if code.observation_terms:
+    if code.observation_terms and all(term.own or term.grid for term in code.observation_terms):
         read = [
             (
                 kind,

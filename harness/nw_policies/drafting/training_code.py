@@ -20,7 +20,7 @@ from nw_policies.drafting.constants import follow_settings
 from nw_policies.drafting.fields import Fields
 from nw_policies.drafting.gym_training import is_gym_training, read_gym_training
 from nw_policies.drafting.notation import plain
-from nw_policies.drafting.training_terms import Environment, seen_terms
+from nw_policies.drafting.training_terms import OBSERVES, Environment, seen_terms
 from nw_scenes.robots import RobotSpec
 
 _DEEPEST = 12
@@ -84,17 +84,16 @@ class _Classes:
                 follow_settings(line, values)
         return values
 
-    def methods(self, name: str, file: str = "", depth: int = 0) -> dict[str, ast.FunctionDef]:
-        """Return the methods of a class, with those that it inherits."""
+    def methods(
+        self, name: str, file: str = "", depth: int = 0
+    ) -> list[Mapping[str, ast.FunctionDef]]:
+        """Return the methods of a class, and of each that it inherits from, nearest first."""
         found = self.of(name, file)
         if found is None or depth > _DEEPEST:
-            return {}
-        methods: dict[str, ast.FunctionDef] = {}
-        for base in reversed(found[1].bases):
-            root = _dotted(base)[-1]
-            methods |= self.methods(root, found[0], depth + 1) if root != name else {}
+            return []
         own = {line.name: line for line in found[1].body if isinstance(line, ast.FunctionDef)}
-        return methods | own
+        roots = [root for base in found[1].bases if (root := _dotted(base)[-1]) != name]
+        return [own, *(one for root in roots for one in self.methods(root, found[0], depth + 1))]
 
 
 def _dotted(node: ast.expr) -> list[str]:
@@ -187,7 +186,7 @@ def _read(
     settings = {**classes.settings(task.settings), **(saved or {})}
     config = Fields(settings)
     methods = classes.methods(task.environment)
-    if not is_gym_training(config) or "compute_observations" not in methods:
+    if not is_gym_training(config) or not any(OBSERVES in own for own in methods):
         return None
     joints = len(robot.joints)
     pose = {short_name(name) for name in config.below("init_state").below("default_joint_angles")}

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
 from nw_policies.drafting.checkpoint import ExportedTerm, HeightGrid
 from nw_policies.drafting.constants import UNKNOWN, constant, is_number
 
+OBSERVES = "compute_observations"
+"""The method that joins what a policy sees."""
 _MOST = 200
 """Terms of a row."""
 _PERIODS = ("cycle_time", "period", "gait_period")
@@ -44,7 +46,8 @@ class Environment:
     """A class of an environment with its settings."""
 
     settings: Mapping[str, Any]
-    methods: Mapping[str, ast.FunctionDef]
+    methods: Sequence[Mapping[str, ast.FunctionDef]]
+    """Of the class, and of those below it: what overrides another comes first."""
     joints: int
 
 
@@ -72,7 +75,7 @@ class _Reading:
 
     def _command_factors(self) -> tuple[float, ...]:
         """Return the factors of the command, from where the environment sets them."""
-        for method in self.about.methods.values():
+        for method in (method for own in self.about.methods for method in own.values()):
             for line in ast.walk(method):
                 match line:
                     case ast.Assign(targets=[target], value=ast.Call(args=[factors, *_])) if (
@@ -86,18 +89,22 @@ class _Reading:
         return ()
 
     def _period(self) -> float | None:
-        """Return the one period of a gait, s, that the environment names; None without one."""
-        found: set[float] = set()
-        for method in self.about.methods.values():
-            for node in ast.walk(method):
-                value: Any = UNKNOWN
-                if isinstance(node, ast.Attribute) and node.attr in _PERIODS:
-                    value = constant(node, self.names)
-                elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in _PERIODS:
-                    value = constant(node.value, self.names)
-                if is_number(value) and value > 0:
-                    found.add(float(value))
-        return found.pop() if len(found) == 1 else None
+        """Return the period of a gait, s, that the nearest class names; None without one."""
+        for own in self.about.methods:
+            found = {period for method in own.values() for period in self._periods(method)}
+            if found:
+                return found.pop() if len(found) == 1 else None
+        return None
+
+    def _periods(self, method: ast.FunctionDef) -> Iterator[float]:
+        for node in ast.walk(method):
+            value: Any = UNKNOWN
+            if isinstance(node, ast.Attribute) and node.attr in _PERIODS:
+                value = constant(node, self.names)
+            elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in _PERIODS:
+                value = constant(node.value, self.names)
+            if is_number(value) and value > 0:
+                yield float(value)
 
     def follow(self, lines: Sequence[ast.stmt]) -> None:
         """Follow lines of the method."""
@@ -207,6 +214,8 @@ class _Reading:
         left, right = node.left, node.right
         match node.op:
             case ast.Mult() | ast.Div():
+                if "commands_scale" in ast.unparse(right) and not self.factors:
+                    return tuple(replace(term, scale=None) for term in self.row(left))
                 for one, other in ((left, right), (right, left)):
                     factors = self._factors(other)
                     if not factors or (isinstance(node.op, ast.Div) and one is not left):
@@ -271,7 +280,8 @@ def seen_terms(environment: Environment) -> Row:
     Of terms that are unknown one has the numbers that the settings leave for it.
     """
     reading = _Reading(environment)
-    reading.follow(environment.methods["compute_observations"].body)
+    observes = next(own[OBSERVES] for own in environment.methods if OBSERVES in own)
+    reading.follow(observes.body)
     row = reading.held.get("self.obs_buf", ())
     newest_first = any(term.own == _PAST for term in row[1:])
     frame = [term for term in row if term.own != _PAST]

@@ -1,7 +1,7 @@
 """The code of a training is read as text: its settings, and the terms that it joins."""
 
 import pytest
-from tests.policies.drafting.test_beside import LEFT_FIRST, words
+from tests.policies.drafting.test_beside import GYM, LEFT_FIRST, words
 
 REGISTER = """
 from sim.registry import task_registry
@@ -79,6 +79,8 @@ class Robot:
         cycle_time = self.cfg.rewards.cycle_time
         return self.episode_length_buf * self.dt / cycle_time
 class Go2Env(Robot):
+    def _init_buffers(self):
+        super()._init_buffers()
     def compute_observations(self):
         phase = self._get_phase()
         sine = torch.sin(2 * torch.pi * phase).unsqueeze(1)
@@ -233,6 +235,17 @@ def test_settings_that_were_saved_with_the_checkpoint_count_first(card_of):
     assert (control.kp, control.rate, control.scale, control.default_pose) == (33, 50, 0.5, pose)
     assert "kp: 33  # config.json" in text
     assert words(card)[0] == "clock", "the terms are those of the code"
+
+
+def test_terms_of_a_deploy_config_stand_where_the_code_has_one_that_no_card_knows(card_of):
+    wet = ENVIRONMENT.replace("self.projected_gravity,", "self.wetness,")
+    one = CONFIG.replace("num_observations = 6 * 45", "num_observations = 45")
+    files = {
+        **beside(go2_env=wet, go2_config=one),
+        "configs/go2.yaml": GYM.replace("motion", "policy"),
+    }
+    _, card = card_of(45, files, name=CHECKPOINT)
+    assert words(card) == ["ang_vel", "gravity", "command", "joint_pos", "joint_vel", "last_output"]
 
 
 @pytest.mark.parametrize("root", ["../../setup.py", None])
