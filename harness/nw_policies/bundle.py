@@ -345,17 +345,6 @@ def read_file(file: Weights, folder: Path, what: str) -> bytes:
     return data
 
 
-def motion_file(path: Path, folder: Path) -> Weights:
-    """Return a motion that a suite in `folder` names, with the digest of what lies there.
-
-    Raises:
-        PolicyError: as `read_file`.
-    """
-    return Weights(
-        path, hashlib.sha256(_read(path, folder, what="motion", is_own=False)).hexdigest()
-    )
-
-
 def _orders(fields: Mapping[str, Any]) -> dict[str, list[str]]:
     """Return the names of a card whose order counts, where it is not that of the alphabet.
 

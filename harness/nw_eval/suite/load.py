@@ -6,6 +6,7 @@ the resolved suite that runs and logs carry, and one for places without.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -20,13 +21,12 @@ from typing import Any, cast
 from pydantic import ValidationError
 from ruamel.yaml import YAML
 
-from nw_base.errors import PolicyError, Problem, SuiteError, UsageError, nearest
+from nw_base.errors import Problem, SuiteError, UsageError, nearest
 from nw_base.files.cache import atomic_path, followed
 from nw_base.files.inside import regular, what_is
 from nw_base.files.shipped import available
 from nw_base.files.yaml_file import YamlProblems, read_yaml, validation_problems
 from nw_eval.suite.model import Source, Suite, new_suite
-from nw_policies.bundle import motion_file
 from nw_sim.rendering import DRAFTED
 
 
@@ -124,16 +124,19 @@ def _with_motion(suite: Suite, problems: list[Problem]) -> Suite:
         return suite
     named, place = cast("Any", suite.task).motion, ("task", "motion", "file")
     try:
-        found = motion_file(suite.motion, suite.base)
-    except PolicyError as error:
-        text = f"task.motion.file: {error.message}"
-        problems.append(suite.source.problem(place, text, error.fix))
+        with regular(suite.motion).open("rb") as file:
+            found = hashlib.file_digest(file, "sha256").hexdigest()
+    except (OSError, ValueError) as error:  # A path with a zero byte is a ValueError.
+        why = (isinstance(error, OSError) and error.strerror) or error
+        text = f"task.motion.file: the motion {named.file} cannot be read: {why}"
+        fix = "check the path, which starts from the suite's folder"
+        problems.append(suite.source.problem(place, text, fix))
         return suite
-    if named.sha256 not in {None, found.sha256}:
-        said = f"task.motion.sha256: the SHA-256 of {named.file} is {found.sha256}"
+    if named.sha256 not in {None, found}:
+        said = f"task.motion.sha256: the SHA-256 of {named.file} is {found}"
         fix = "get the right file, or correct `sha256` if this one is meant"
         problems.append(suite.source.problem((*place[:2], "sha256"), said, fix))
-    motion = named.model_copy(update={"sha256": found.sha256})
+    motion = named.model_copy(update={"sha256": found})
     task = suite.task.model_copy(update={"motion": motion})
     return suite.model_copy(update={"task": task})
 

@@ -14,8 +14,6 @@ from nw_base.memory import pack, unpack
 from nw_base.words import Outcome
 from nw_gate.scores import ScoreSpec
 from nw_gate.scores.score import lower_better
-from nw_policies.cards.model import Rate
-from nw_policies.cards.networks import Sha256
 from nw_sim.tasks.course import Limits, draw_start, touched_by
 from nw_sim.tasks.reference import Errors, PlacedReference, conjugate, errors_of, product, turned
 from nw_sim.tasks.task import (
@@ -61,9 +59,9 @@ class Motion(TaskPart):
 
     file: str = Field(min_length=1, max_length=1024)
     """Path, from the suite's folder."""
-    sha256: Sha256 | None = None
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = None
     """Hex digest that the file must have; null = whatever lies there is taken, and recorded."""
-    rate: Rate | None = None
+    rate: Annotated[float, Field(ge=1.0, le=2000.0)] | None = None
     """Frames per second, Hz, where the file does not say it."""
     joints: Annotated[tuple[str, ...], Field(min_length=1, max_length=500)] | None = None
     """The joints of the file in its order, where it does not name them; null = as for a card."""
