@@ -152,7 +152,7 @@ MOST = {
         ("nw_eval", "nw_learn", "nw_sim"),
     ),
     "nw_policies": Figures(
-        25870,  # Targets; HumanoidVerse; motors as trained: keys, networks, drafts; Isaac Gym.
+        26980,  # Targets; HumanoidVerse; motors as trained; code of trainings in Isaac Gym.
         9,
         ("nw_eval", "nw_learn", "nw_sim"),
     ),

@@ -235,7 +235,18 @@ def digest_of_trials(settings: Mapping[str, Any]) -> str:
     for name, usual in _USUAL.items():
         if (said := settings.get(name)) is not None and said != usual:
             fields[name] = said
+    if isinstance(task := fields.get("task"), Mapping):
+        fields["task"] = without_place(cast("Mapping[str, Any]", task))
     return digest_of(fields)
+
+
+def without_place(task: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a task without where its motion lies: the file's digest counts."""
+    motion = task.get("motion")
+    if not isinstance(motion, Mapping):
+        return dict(task)
+    said = cast("Mapping[str, Any]", motion).items()
+    return {**task, "motion": {key: value for key, value in said if key != "file"}}
 
 
 def cells_of(perturb: Mapping[str, Sequence[float]]) -> tuple[tuple[tuple[str, float], ...], ...]:

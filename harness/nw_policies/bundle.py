@@ -317,24 +317,32 @@ class Bundle:
         """
         if self.checkpoint is None:
             return b""
-        return self._read(Weights(self.checkpoint, self.checkpoint_sha256), "checkpoint")
-
-    def read_motion(self) -> bytes:
-        """Return the bytes of the motion, as `read_checkpoint`; none without a motion."""
-        return b"" if self.motion is None else self._read(self.motion, "motion")
+        own = Weights(self.checkpoint, self.checkpoint_sha256)
+        return read_file(own, self.folder, "checkpoint")
 
     def read_motor(self, number: int) -> bytes:
         """Return the bytes of one of `motors`, as `read_checkpoint`."""
-        return self._read(self.motors[number], "network of motors")
+        return read_file(self.motors[number], self.folder, "network of motors")
 
-    def _read(self, file: Weights, what: str) -> bytes:
-        data = _read(file.path, self.folder, what=what, is_own=what == "checkpoint")
-        if hashlib.sha256(data).hexdigest() != file.sha256:
-            raise PolicyError(
-                f"{file.path}: the {what} changed while it was in use",
-                fix="start again once it is no longer written to",
-            )
-        return data
+
+def read_file(file: Weights, folder: Path, what: str) -> bytes:
+    """Return the bytes of a file after comparing their digest with the one that was checked.
+
+    Args:
+        file: as it was measured.
+        folder: of what names it, for errors.
+        what: it is, for errors.
+
+    Raises:
+        PolicyError: it is gone, too large, or has changed since.
+    """
+    data = _read(file.path, folder, what=what, is_own=what == "checkpoint")
+    if hashlib.sha256(data).hexdigest() != file.sha256:
+        raise PolicyError(
+            f"{file.path}: the {what} changed while it was in use",
+            fix="start again once it is no longer written to",
+        )
+    return data
 
 
 def _orders(fields: Mapping[str, Any]) -> dict[str, list[str]]:
@@ -398,7 +406,7 @@ def load_bundle(
     else:
         weights = _measured(checkpoint, card_path, card.checkpoint.source)
     motion = None
-    if card.reference is not None:
+    if card.reference is not None and card.reference.file is not None:
         held = card.checkpoint is not None and card.reference.file == card.checkpoint.file
         # The checkpoint holds it: other weights have a motion of their own.
         motion = weights if held else _verified(card_path, card.reference, key="reference")

@@ -14,7 +14,8 @@ import torch
 
 from nw_base.errors import PolicyError
 from nw_policies import load_bundle, open_policy
-from nw_policies.drafting.draft import draft_of, files_beside
+from nw_policies.drafting.draft import draft_of
+from nw_policies.drafting.feeders import files_beside
 from nw_policies.drafting.trained import _PASSED_OVER
 
 SEEN = np.random.default_rng(1).normal(size=(4, 45)).astype(np.float32) * 2

@@ -173,6 +173,7 @@ def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> N
     from nw_sim.rollout.asked_for import own_targets
     from nw_sim.tasks import TaskRules, fault_of
     from nw_sim.tasks.commanded import is_commanded, with_command
+    from nw_sim.tasks.track import NAMED
 
     if suite is None or bundle is None:
         return
@@ -180,6 +181,10 @@ def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> N
     if getattr(task, "targets", None) is not None:
         with suppress(NwEvalError):  # As already reported.
             own = own_targets(bundle.card, get_robot(suite.robot))
+    reference = bundle.card.reference
+    if task.kind == "track" and reference is not None and reference.file is suite.motion is None:
+        message = "task: neither the suite nor the policy's card names a motion"
+        faults.extend([suite.source.problem(("task",), message, NAMED)])
     rules = TaskRules(duration=suite.episode.duration, own=own)
     axes = [axis for axis in suite.perturb.axes if axis in COMMANDED]
     if axes and not is_commanded(task):

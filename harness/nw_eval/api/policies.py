@@ -180,7 +180,8 @@ def init_policy(
     from nw_base.files.inside import what_is
     from nw_policies.cards.load import CARD_FILE
     from nw_policies.drafting.beside import files_beside_checkpoint, find_checkpoint
-    from nw_policies.drafting.draft import draft_of, files_beside
+    from nw_policies.drafting.draft import draft_of
+    from nw_policies.drafting.feeders import files_beside, may_feed
     from nw_policies.drafting.notation import lines_to_check, plain
     from nw_policies.drafting.tracking import motions_beside
     from nw_policies.drafting.trained import statistics_beside
@@ -200,11 +201,18 @@ def init_policy(
     if what_is(followed(card)) == "file":
         raise UsageError(f"{card} exists already", fix="move it away, or name another with --out")
     statistics = statistics_beside(checkpoint)
+    is_beside = card.parent.resolve() == checkpoint.parent.resolve()
+    # A card names files of its own folder alone.
+    feeders = [path for path in may_feed(checkpoint) if path.suffix == ".onnx"] if is_beside else []
     draft = partial(
         call_isolated,
         draft_of,
         subject=str(checkpoint),
-        rules=inspecting_rules(checkpoint, robot=entry.folder, also=statistics),
+        rules=inspecting_rules(
+            checkpoint,
+            robot=entry.folder,
+            also=[*feeders, *([] if statistics is None else [statistics])],
+        ),
         checkpoint=str(checkpoint),
         robot=entry.reference,
         robot_folder=None if entry.folder is None else str(entry.folder),
@@ -213,6 +221,7 @@ def init_policy(
         beside=files_beside_checkpoint(checkpoint, entry.spec.name),
         statistics=None if statistics is None else str(statistics),
         motions=motions_beside(checkpoint, card.parent),
+        feeders=list(map(str, feeders)),
     )
     drafted = draft()
     if widths := drafted["widths"]:
@@ -223,7 +232,7 @@ def init_policy(
         shown = ", ".join(others[:6]) + f" and {len(others) - 6} more" * (len(others) > 6)
         newest = f"{plain(checkpoint.name)} is the newest checkpoint here, beside {plain(shown)}."
         text = f"# {newest}\n{text}"
-    elif card.parent.resolve() == checkpoint.parent.resolve() and "\nnetworks:" not in text:
+    elif is_beside and "\nnetworks:" not in text:
         text += files_beside(checkpoint)
     with atomic_path(followed(card)) as temporary:
         temporary.write_text(text, encoding="utf-8")

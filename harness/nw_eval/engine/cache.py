@@ -36,6 +36,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 from nw_base.digest import digest_of
 from nw_base.errors import StoreError, UsageError
 from nw_base.files.cache import cache_dir, private_dir
+from nw_base.trials import without_place
 from nw_gate.results.row import Row, from_dict, to_dict
 from nw_gate.results.seal import seal, unseal
 
@@ -417,7 +418,7 @@ class Conditions:
         """Return the hex sha256 of everything that can change a trial's result, or its log."""
         trial = _without(asdict(job.trial), _LABELS)
         fields = _without(vars(job), _CIRCUMSTANCE)
-        fields["task"] = job.task.model_dump()
+        fields["task"] = without_place(job.task.model_dump())
         fields["rendering"] = job.rendering.model_dump()
         return digest_of([self.digest, trial, fields])
 

@@ -83,7 +83,7 @@ class LocalProcesses:
             logs=folder.logs,
             allow_code=job.allow_code,
             render=job.render,
-            also=() if job.robot_folder is None else (job.robot_folder,),
+            also=job.also,
         )
         policy = policy_rules(bundle)
         draws = any(needs_splats(bundle.card, each.record) for each in jobs) and not rules.off

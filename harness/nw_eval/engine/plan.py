@@ -20,6 +20,7 @@ from nw_eval.suite import suite_yaml
 from nw_gate.results.baseline import machine_in
 from nw_sim.rollout.job import TrialJob, kernels_of
 from nw_sim.rollout.record import attachments
+from nw_sim.tasks.track import with_motion
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -176,7 +177,7 @@ def plan_jobs(plan: Plan, folder: RunFolder) -> tuple[TrialJob, ...]:
             robot=suite.robot,
             robot_folder=plan.robot_folder,
             protocol=suite.protocol,
-            task=suite.task,
+            task=with_motion(suite.task, lambda file: str((suite.base / file).absolute())),
             scores=suite.measured_by(),
             duration=suite.episode.duration,
             contact_termination=suite.episode.contact_termination,

@@ -91,6 +91,8 @@ class Outgoing:
         if checkpoint is not None:
             name = checkpoint.name
             yield self._packed({name: checkpoint}, reference=str(checkpoint), entry=name)
+        if (motion := plan.suite.motion) is not None:
+            yield self._packed({motion.name: motion}, reference=str(motion), entry=motion.name)
         if plan.robot_folder is not None:
             files = _all_below(plan.robot_folder)
             yield self._packed(files, reference=str(plan.robot_folder))
@@ -144,7 +146,8 @@ def _policy_files(bundle: Bundle, card_path: Path) -> dict[str, Path]:
         return _all_below(card_path.parent)
     named = {} if bundle.card.checkpoint is None else {"": bundle.card.checkpoint.file}
     named |= {name: network.checkpoint.file for name, network in bundle.card.networks.items()}
-    named |= {} if bundle.card.reference is None else {"reference": bundle.card.reference.file}
+    motion = bundle.card.reference and bundle.card.reference.file
+    named |= {"reference": motion} if motion else {}
     motors = [one for one in bundle.card.control.motors or () if isinstance(one, NetworkMotor)]
     named |= {f"motors {number}": one.file for number, one in enumerate(motors)}
     files = [card_path.name, *(PurePosixPath(file).as_posix() for file in named.values())]

@@ -31,6 +31,7 @@ from nw_eval.engine.worker import clock
 from nw_gate.results.run_folder import RunFolder
 from nw_sim.rollout.library import Library
 from nw_sim.rollout.trial import run_trial
+from nw_sim.tasks.track import with_motion
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -245,6 +246,7 @@ def _at_home(job: TrialJob, places: Mapping[str, str]) -> TrialJob:
         policy=places.get(job.policy, job.policy),
         checkpoint=checkpoint,
         robot_folder=None if job.robot_folder is None else local_path(job.robot_folder, places),
+        task=with_motion(job.task, lambda file: places.get(file, file)),
     )
 
 

@@ -6,6 +6,7 @@ the resolved suite that runs and logs carry, and one for places without.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -107,12 +108,37 @@ def draft_suite(name_or_path: str | Path, search: Path | None = None) -> Draft:
         lines = {problem.line for problem in problems}
         more = validation_problems(error, file, Suite)
         problems += [p for p in more if not (p.line in lines and "None" in p.message)]
+    if suite is not None:
+        suite = _with_motion(suite, problems)
     return Draft(
         source=source,
         settings=file.data,
         problems=tuple(sorted(problems, key=lambda problem: (problem.line, problem.column))),
         suite=None if problems else suite,
     )
+
+
+def _with_motion(suite: Suite, problems: list[Problem]) -> Suite:
+    """Return a suite with the digest of the motion that its task names; add what is wrong."""
+    if suite.motion is None:
+        return suite
+    named, place = cast("Any", suite.task).motion, ("task", "motion", "file")
+    try:
+        with regular(suite.motion).open("rb") as file:
+            found = hashlib.file_digest(file, "sha256").hexdigest()
+    except (OSError, ValueError) as error:  # A path with a zero byte is a ValueError.
+        why = (isinstance(error, OSError) and error.strerror) or error
+        text = f"task.motion.file: the motion {named.file} cannot be read: {why}"
+        fix = "check the path, which starts from the suite's folder"
+        problems.append(suite.source.problem(place, text, fix))
+        return suite
+    if named.sha256 not in {None, found}:
+        said = f"task.motion.sha256: the SHA-256 of {named.file} is {found}"
+        fix = "get the right file, or correct `sha256` if this one is meant"
+        problems.append(suite.source.problem((*place[:2], "sha256"), said, fix))
+    motion = named.model_copy(update={"sha256": found})
+    task = suite.task.model_copy(update={"motion": motion})
+    return suite.model_copy(update={"task": task})
 
 
 def load_suite(name_or_path: str | Path, search: Path | None = None) -> Suite:

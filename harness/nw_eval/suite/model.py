@@ -230,6 +230,12 @@ class Suite(Grown):
         return self._source.base
 
     @property
+    def motion(self) -> Path | None:
+        """The file of the motion that its task names; None where it names none."""
+        named = getattr(self.task, "motion", None)
+        return None if named is None else (self.base / named.file).absolute()
+
+    @property
     def own_scores(self) -> tuple[OwnScore, ...]:
         """Scores that are Python functions of the suite."""
         return tuple(each for each in self.scores if isinstance(each, OwnScore))

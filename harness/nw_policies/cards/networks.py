@@ -54,6 +54,9 @@ def _plain_file(name: str) -> str:
     return name
 
 
+PlainFile = Annotated[str, AfterValidator(_plain_file)]
+
+
 def _sha256(digest: str) -> str:
     if not re.fullmatch(r"[0-9a-fA-F]{64}", digest):
         message = f"{digest[:20]!r} is not a SHA-256, which has 64 hex digits, not {len(digest)}"
@@ -67,7 +70,7 @@ Sha256 = Annotated[str, AfterValidator(_sha256)]
 class Checkpoint(CardModel):
     """The file of weights, and the digest that it must have."""
 
-    file: Annotated[str, AfterValidator(_plain_file)]
+    file: PlainFile
     """Path inside the card's folder."""
     sha256: Sha256 | None = None
     """Hex digest that the file must have; None = whatever lies there is taken, and recorded."""

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from nw_policies.cards.model import Rate
-from nw_policies.cards.networks import Checkpoint
+from nw_policies.cards.networks import Checkpoint, PlainFile
 from nw_policies.cards.terms import Foot
 
 Names = Annotated[tuple[Foot, ...], Field(min_length=1, max_length=500)]
@@ -16,6 +16,8 @@ Names = Annotated[tuple[Foot, ...], Field(min_length=1, max_length=500)]
 class Reference(Checkpoint):
     """The motion that a policy tracks: a file beside the card, or the checkpoint that holds it."""
 
+    file: PlainFile | None = None  # pyright: ignore[reportIncompatibleVariableOverride] - a checkpoint always has one.
+    """Path inside the card's folder; null = a suite names the motion."""
     rate: Rate | None = None
     """Frames per second of the file, Hz, where it does not say it itself; null = the policy's rate
     for a motion in a checkpoint."""

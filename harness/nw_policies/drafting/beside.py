@@ -22,9 +22,11 @@ from nw_policies.cards.joints import short_name
 from nw_policies.drafting.checkpoint import CheckpointFacts, ExporterMetadata
 from nw_policies.drafting.configs import reader_of
 from nw_policies.drafting.fields import Fields, account
+from nw_policies.drafting.gym_training import IN_CODE, pickled_settings
 from nw_policies.drafting.leapp import pipeline_checkpoint
 from nw_policies.drafting.notation import plain
 from nw_policies.drafting.patterns import reordered
+from nw_policies.drafting.training_code import read_training_code, settings_of
 from nw_policies.drafting.vectors import sized_terms
 from nw_policies.folding import newest_orbax
 from nw_scenes.robots import RobotSpec
@@ -33,6 +35,14 @@ _LARGEST = 2**20
 """Bytes of a file; Isaac Lab's env.yaml has some 50 kB."""
 _MOST = 24
 """Files that are looked at."""
+_MOST_CODE = 120
+"""Files of a training's code."""
+_HIGHEST = 8
+"""Folders from a checkpoint up in which such code is looked for."""
+_OF_ROOT = (".git", "setup.py", "pyproject.toml")
+"""What the top of a repository has."""
+_PICKLES = ("parameters.pkl", "../parameters.pkl")
+"""Where walk-these-ways and its forks keep their settings."""
 _FOLDERS = (".", "params", "io_descriptors", "config", "configs")
 _ABOVE = (".", "params", "io_descriptors", "config", "configs")
 _PRETRAINED = frozenset({"pre_train", "pretrain", "pretrained"})
@@ -60,7 +70,7 @@ _MAY_BE_ZERO = frozenset({"armature", "friction_loss", "viscous_friction"})
 _ORDER = (
     "deploy", "io_descriptors", "legged_rl_deploy", "legged_ros2", "rl_sar", "gym", "muwanx",
     "booster", "limx", "humanoidverse_deploy", "checkpoint",
-    "env", "humanoidverse_train", "gym_training", "agent",
+    "env", "humanoidverse_train", "gym_training", "training_code", "agent",
 )  # fmt: skip
 """Which kind of file is believed before others."""
 
@@ -74,7 +84,7 @@ def files_beside_checkpoint(checkpoint: Path, robot: str = "") -> dict[str, str]
     meant, by their names or by the folder of the checkpoint. JSON is called as the checkpoint is.
     """
     folder = checkpoint.parent
-    own = [f"{checkpoint.stem}.json", "asset_meta.json"]
+    own = [f"{checkpoint.stem}.json", "asset_meta.json", "config.json", *_PICKLES]
     files = [(name, folder / name) for name in own if (folder / name).exists()]
     for name in _FOLDERS:
         files += _yaml_files(folder / name, "" if name == "." else f"{name}/")
@@ -85,15 +95,41 @@ def files_beside_checkpoint(checkpoint: Path, robot: str = "") -> dict[str, str]
         if place.name in _PRETRAINED:
             named = [folder.absolute().name] if up == 2 else [robot]
             files += _deployed(place.parent, "../" * up, named)
+    listed = _texts([(name, path) for name, path in files if name != "policy.yaml"], _MOST)
+    return listed | _texts(_code(folder.absolute()), _MOST_CODE)
+
+
+def _texts(files: Sequence[tuple[str, Path]], most: int) -> dict[str, str]:
     texts: dict[str, str] = {}
     for name, path in files:
         try:
             is_ours = what_is(path) == "file" and path.stat().st_size <= _LARGEST
-            if is_ours and len(texts) < _MOST and name != "policy.yaml":
-                texts[name] = path.read_bytes().decode("utf-8")
+            if is_ours and len(texts) < most:
+                # Bytes of a pickle are kept as letters of the same numbers.
+                letters = "latin-1" if name in _PICKLES else "utf-8"
+                texts[name] = path.read_bytes().decode(letters)
         except (OSError, UnicodeDecodeError):
             continue
     return texts
+
+
+def _code(folder: Path) -> list[tuple[str, Path]]:
+    """Return the files of a training in Isaac Gym, of the repository that a checkpoint lies in.
+
+    Its tasks are registered in `envs/__init__.py`, in or below a folder above the checkpoint. What
+    lies outside of the repository is not looked at: it is of other policies.
+    """
+    places = [folder, *folder.parents][:_HIGHEST]
+    ends = [up for up, place in enumerate(places) if any((place / n).exists() for n in _OF_ROOT)]
+    for up, place in enumerate(places[: ends[0] + 1] if ends else ()):
+        for envs in (place / "envs", *sorted(place.glob("*/envs"))):
+            register = envs / "__init__.py"
+            if what_is(register) == "file" and b".register(" in register.read_bytes():
+                return [
+                    (f"{'../' * up}{path.relative_to(place).as_posix()}", path)
+                    for path in sorted(envs.rglob("*.py"))
+                ]
+    return []
 
 
 def _deployed(root: Path, prefix: str, named: Sequence[str]) -> list[tuple[str, Path]]:
@@ -175,7 +211,7 @@ def read_beside(
     Args:
         texts: name and text of each, as `files_beside_checkpoint` gives them.
         robot: whose joints patterns and motors' numbers mean.
-        checkpoint: the name of the file that they are about; files that name another are left out.
+        checkpoint: the path of the file that they are about; files that name another are left out.
         own: what the checkpoint says itself.
         size: numbers that it takes; 0 where it does not say.
     """
@@ -195,13 +231,19 @@ def _read_files(
     texts: Mapping[str, str], robot: RobotSpec, checkpoint: str, size: int
 ) -> list[tuple[int, ExporterMetadata]]:
     """Return what each file says that is about a checkpoint, and the index of its kind."""
-    parsed: dict[str, Fields] = {}
-    left: dict[str, str] = {}
-    for name, text in texts.items():
-        try:
-            parsed[name] = Fields(parse_yaml(text, file=name, foreign=True).data)
-        except YamlProblems as problems:
-            left[name] = str(problems.problems[0].message) if text.strip() else ""
+    code = {name: text for name, text in texts.items() if name.endswith(".py")}
+    read, saved = _read_settings(
+        {name: text for name, text in texts.items() if name not in code}, robot, checkpoint, size
+    )
+    said = read_training_code(code, robot, checkpoint, size, saved) if code else None
+    return read if said is None else _with_code(read, said)
+
+
+def _read_settings(
+    texts: Mapping[str, str], robot: RobotSpec, checkpoint: str, size: int
+) -> tuple[list[tuple[int, ExporterMetadata]], Mapping[str, Any] | None]:
+    """Return what YAML and JSON files say, and the saved settings of a training in Isaac Gym."""
+    parsed, left = _parsed(texts)
     by_kind: dict[str, list[tuple[str, ExporterMetadata]]] = {}
     for name, data in parsed.items():
         kind, reader = reader_of(Fields(data))  # Of a copy: to look is not to read.
@@ -219,7 +261,45 @@ def _read_files(
             notes += account(plain(name), by_kind, parsed[name])
         elif why:
             notes.append(f"{plain(name)} was not read: {plain(why)}")
-    return [*_by_belief(by_kind, parsed, robot, checkpoint, size), *_noted(notes)]
+    read = [*_by_belief(by_kind, parsed, robot, checkpoint, size), *_noted(notes)]
+    return read, settings_of(list(parsed.values()))
+
+
+def _parsed(texts: Mapping[str, str]) -> tuple[dict[str, Fields], dict[str, str]]:
+    """Return the fields of each file, and why the others have none."""
+    parsed: dict[str, Fields] = {}
+    left: dict[str, str] = {}
+    for name, text in texts.items():
+        try:
+            if name in _PICKLES:
+                parsed[name] = pickled_settings(text.encode("latin-1"), name)
+            else:
+                parsed[name] = Fields(parse_yaml(text, file=name, foreign=True).data)
+        except PolicyError as error:
+            left[name] = error.message
+        except YamlProblems as problems:
+            left[name] = str(problems.problems[0].message) if text.strip() else ""
+    return parsed, left
+
+
+def _with_code(
+    read: Sequence[tuple[int, ExporterMetadata]], code: ExporterMetadata
+) -> list[tuple[int, ExporterMetadata]]:
+    """Return what files say with the terms of a training's code, which a deploy config lacks."""
+    guessed, saved = _ORDER.index("gym"), _ORDER.index("gym_training")
+    if code.observation_terms and all(term.own or term.grid for term in code.observation_terms):
+        read = [
+            (
+                kind,
+                replace(
+                    said,
+                    observation_terms=() if kind == guessed else said.observation_terms,
+                    notes=tuple(note for note in said.notes if kind != saved or note != IN_CODE),
+                ),
+            )
+            for kind, said in read
+        ]
+    return [*read, (_ORDER.index("training_code"), code)]
 
 
 def _noted(notes: Sequence[str]) -> list[tuple[int, ExporterMetadata]]:
@@ -281,7 +361,10 @@ def _about(
     # A policy of another size is another policy: its gains and pose say nothing of this one.
     fits = [pair for pair in several if not (pair[1].input_size and size % pair[1].input_size)]
     best = min((unlikeness(said) for _, said in fits), default=None)
-    return [(name, said) for name, said in fits if unlikeness(said) == best]
+    alike = [(name, said) for name, said in fits if unlikeness(said) == best]
+    # Copies and drafts of a deploy.yaml lie beside it.
+    exported = [pair for pair in alike if f"/{pair[0]}".endswith("/params/deploy.yaml")]
+    return exported or alike
 
 
 def merged(one: ExporterMetadata, other: ExporterMetadata) -> ExporterMetadata:

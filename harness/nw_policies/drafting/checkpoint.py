@@ -103,6 +103,8 @@ class ExportedTerm:
     """Further keys of the term on a card, such as a clock's frequency."""
     grid: HeightGrid | None = None
     """Of a scan of heights."""
+    every: int | None = None
+    """Actions from one frame of an image to the next."""
     own: str = ""
     """Its term on a card, where the reader of the file knows it with `width` and `keys`."""
     select: tuple[int, ...] = ()
@@ -473,15 +475,40 @@ def read_exporter_metadata(entries: Mapping[str, str]) -> ExporterMetadata | Non
     )
 
 
-_TERMS_OF_HOLOSOMA = ("actions", "base_ang_vel", "dof_pos", "dof_vel")
+_OF_HOLOSOMA = ("actions", "base_ang_vel", "dof_pos", "dof_vel")
 _MOTION_OF_HOLOSOMA = ("motion_command", "motion_ref_ori_b")
+_HOLOSOMA_POSE = {
+    "_hip_pitch": -0.312, "_knee": 0.669, "_ankle_pitch": -0.363, "_elbow": 0.6,
+    "_shoulder_pitch": 0.2, "left_shoulder_roll": 0.2, "right_shoulder_roll": -0.2,
+}  # fmt: skip
+"""rad, of the G1 that holosoma trains, by parts of names; the others are 0."""
+
+
+def _walk_of_holosoma(term: ExportedTerm) -> tuple[ExportedTerm, ...]:
+    """Return what a G1 of holosoma sees that is commanded a velocity, in the order of the names."""
+    feet = "frequency: 1, offsets: [0, 0.5], standing: {below: 0.01, phase: 0.5}, values"
+
+    def of(name: str, own: str = "", width: int = 0, keys: str = "", scale: float = 1.0) -> Any:
+        return replace(term, name=name, own=own, width=width or None, keys=keys, scale=(scale,))
+
+    return (
+        of("actions"),
+        of("base_ang_vel", scale=0.25),
+        of("command_ang_vel", "command", 1, "parts: [yaw]"),
+        of("command_lin_vel", "command", 2, "parts: [vx, vy]"),
+        of("cos_phase", "clock", 2, f"{feet}: [cosine]"),
+        of("dof_pos"),
+        of("dof_vel", scale=0.05),
+        of("projected_gravity"),
+        of("sin_phase", "clock", 2, f"{feet}: [sine]"),
+    )
 
 
 def _holosoma(entries: Mapping[str, str], size: int) -> ExporterMetadata:
     """Return the metadata of holosoma, which are JSON.
 
-    The file names no terms: a policy that tracks a motion without knowing where it is sees those of
-    `holosoma_inference`, in the order of their names, with a unit of action of 1 rad.
+    The file names no terms, pose or unit of action: they are those of `holosoma_inference` for a
+    policy that tracks a motion without knowing where it is, or that a G1 walks with.
 
     Args:
         entries: of the file.
@@ -495,18 +522,27 @@ def _holosoma(entries: Mapping[str, str], size: int) -> ExporterMetadata:
             return []
         return cast("list[Any]", value) if isinstance(value, list) else []
 
-    joints = len(listed("dof_names"))
-    is_tracker = size == 5 * joints + 9
-    names = (*_TERMS_OF_HOLOSOMA, *_MOTION_OF_HOLOSOMA) if is_tracker else ()
+    joints = tuple(map(str, listed("dof_names")))
+    is_tracker = size == 5 * len(joints) + 9
+    is_walk = size == 3 * len(joints) + 12 and any("waist_pitch" in name for name in joints)
+    names = (*_OF_HOLOSOMA, *_MOTION_OF_HOLOSOMA)
+    pose = [next((v for k, v in _HOLOSOMA_POSE.items() if k in name), 0.0) for name in joints]
     term = ExportedTerm(name="", scale=(1.0,), clip=(-math.inf, math.inf), history=1)
     gains = {name: [x for x in listed(name) if isinstance(x, int | float)] for name in ("kp", "kd")}
     return ExporterMetadata(
-        joint_names=tuple(map(str, listed("dof_names"))),
+        joint_names=joints,
         joint_stiffness=tuple(gains["kp"]),
         joint_damping=tuple(gains["kd"]),
-        action_scale=(1.0,) if is_tracker else (),
-        observation_terms=tuple(replace(term, name=name) for name in names),
-        notes=_unread(entries, {"dof_names", "kp", "kd", "robot_urdf", "robot_urdf_path"}),
+        default_joint_pos=tuple(pose) if is_walk else (),
+        action_scale=(1.0,) if is_tracker else (0.25,) if is_walk else (),
+        rate=50.0 if is_walk else None,
+        observation_terms=tuple(replace(term, name=name) for name in names)
+        if is_tracker
+        else _walk_of_holosoma(term)
+        if is_walk
+        else (),
+        notes=("its terms, scales, pose and rate are those of holosoma's own G1",) * is_walk
+        + _unread(entries, {"dof_names", "kp", "kd", "robot_urdf", "robot_urdf_path"}),
     )
 
 

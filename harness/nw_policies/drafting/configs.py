@@ -47,7 +47,7 @@ from nw_policies.drafting.humanoidverse import (
     read_deployment,
     read_training,
 )
-from nw_policies.drafting.layouts import LEG_BY_LEG, RIGHT_FIRST
+from nw_policies.drafting.layouts import LEG_BY_LEG, RIGHT_FIRST, isaac_lab_order
 from nw_policies.drafting.makers import is_booster, is_limx, read_booster, read_limx
 from nw_policies.drafting.patterns import reordered
 from nw_scenes.robots import RobotSpec
@@ -68,7 +68,11 @@ def reader_of(data: Data) -> tuple[str, Reader | None]:
         return "legged_rl_deploy", _legged_rl_deploy
     if any({"observations", "rl_kp"} <= set(words) for words in (inner, data)):
         return "rl_sar", _rl_sar
-    gains = ({"kps", "kds", "default_angles"}, {"ctrl_kp", "ctrl_kd", "action_scale"})
+    gains = (
+        {"kps", "kds", "default_angles"},
+        {"kps", "kds", "default_joint_pos"},
+        {"ctrl_kp", "ctrl_kd", "action_scale"},
+    )
     about = {"policy_path", "policy_name", "num_obs", "num_single_obs"}
     if any(keys <= set(data) for keys in gains) and about & set(data):
         return "gym", _gym
@@ -127,6 +131,9 @@ def _deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata
     kind, action = next(iter(actions.items()), ("", {}))
     action = fields_of(action)
     described = data.below("observations")
+    group = described.get("obs", described.get("policy"))
+    if isinstance(group, Fields) and "history_length" not in group:
+        described = group  # Of several groups, each with a name.
     by_step = described.get("use_gym_history") is True
     offset = action.numbers("offset")
     return ExporterMetadata(
@@ -305,7 +312,7 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
     The terms are those of their deploy scripts, in their order.
     """
     is_other = "ctrl_kp" in data
-    pose = data.numbers("default_angles", "stand_pos")
+    pose = data.numbers("default_angles", "stand_pos", "default_joint_pos")
     joints = int(data.number("num_actions") or len(pose))
     command = scale_of(data, "cmd_scale", "command_scale")
     if data.first("cmd_scale", "command_scale")[1] is None and "lin_vel_scale" in data:
@@ -317,7 +324,7 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
         "dof_pos": scale_of(data, "dof_pos_scale", "obs_scales_dof_pos"),
         "dof_vel": scale_of(data, "dof_vel_scale", "obs_scales_dof_vel"),
     }
-    clip = data.number("clip_actions")
+    clip = data.number("clip_actions", "action_clip")
     steps = int(data.number("frame_stack", "history_length") or 1)
     size, whole, notes = (
         data.number("num_single_obs", "obs_size_single"),
@@ -334,8 +341,10 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
         terms_of_script = _HIM_TERMS
     if size in {steps * (9 + 3 * joints), steps * (11 + 3 * joints)}:
         size /= steps  # Some count all frames.
+    # Isaac Lab has the frames of each term in a row.
+    by = "term" if any("isaac" in key for key in data) else "step"
     term = ExportedTerm(
-        name="", clip=(-math.inf, math.inf), history=steps, form=f"order: {order}, by: step"
+        name="", clip=(-math.inf, math.inf), history=steps, form=f"order: {order}, by: {by}"
     )
     terms = [
         replace(
@@ -358,7 +367,7 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
             terms.append(replace(term, name="what_the_script_adds", scale=(1.0,), width=rest))
         else:
             terms = []
-    step, every = data.number("simulation_dt"), data.number("control_decimation")
+    step, every = data.number("simulation_dt", "sim_dt"), data.number("control_decimation")
     period = step * every if step and every else data.number("control_dt", "dt")
     names, is_guess = _gym_joints(data, robot, pose)
     # Where the script permutes, gains and pose are in the order of the motors.
@@ -367,8 +376,8 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
     less = data.number("hip_scale_reduction")
     if less is not None and less != 1.0 and len(scale) == 1:
         scale = tuple(scale[0] * (less if "hip" in name else 1.0) for name in names)
-    fastest = data.numbers("max_cmd")
-    keys = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
+    fastest, keys = data.numbers("max_cmd"), ("lin_vel_x", "lin_vel_y", "ang_vel_z")
+    speeds = {key: (-most, most) for key, most in zip(keys, fastest, strict=False)}
     return ExporterMetadata(
         joint_names=names,
         joint_stiffness=data.numbers("kps", "ctrl_kp"),
@@ -379,7 +388,7 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
         action_clip=(-clip, clip) if clip else None,
         rate=per_second(period),
         physics_rate=per_second(step),
-        speeds={key: (-most, most) for key, most in zip(keys, fastest, strict=False)},
+        speeds=speeds or speeds_of({"": {"ranges": data.below("command_range")}}),
         observation_terms=tuple(terms),
         observation_clip=data.number("clip_observations"),
         model=str(data.first("policy_path", "policy_name")[1] or ""),
@@ -401,11 +410,31 @@ def _gym_joints(
     for key in ("joint2motor_idx", "leg_joint2motor_idx"):
         if mapped := _mapped(data.get(key), robot):
             return mapped, False
+    if mapped := _permuted(data, robot):
+        return mapped
     if sorted(own) != sorted(LEG_BY_LEG):
         return (tuple(own) if len(own) == len(pose) else ()), False
     if "ctrl_kp" in data:
         return motor_names(robot), False  # go2_deploy gives the motors what the policy gives.
     return LEG_BY_LEG, True  # Isaac Gym sorts the legs by name.
+
+
+def _permuted(data: Data, robot: RobotSpec) -> tuple[tuple[str, ...], bool] | None:
+    """Return the joints of a policy that a script's permutation of MuJoCo's joints gives.
+
+    Which of both directions a list has is told by Isaac Lab's order; else it is a guess.
+    """
+    own = [short_name(joint) for joint in robot.joints]
+    own = list(LEG_BY_LEG) if sorted(own) == sorted(LEG_BY_LEG) else own
+    for key in ("sdk2isaac_idx", "mujoco_to_isaac_map", "isaac_to_mujoco_map", "mapping_joints"):
+        places = [int(place) for place in data.numbers(key)]
+        if sorted(places) != list(range(len(own))):
+            continue
+        ways = [tuple(own[place] for place in places)]
+        ways.append(tuple(own[places.index(place)] for place in range(len(own))))
+        lab = isaac_lab_order(robot)
+        return (lab, False) if lab in ways else (ways[0], True)
+    return None
 
 
 def _list_order(pose: Sequence[float], robot: RobotSpec) -> tuple[str, ...]:

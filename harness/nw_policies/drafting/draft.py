@@ -6,19 +6,15 @@ check.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
 from typing import Any
-from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
 from nw_base.clean import clean
 from nw_base.errors import PolicyError, nearest
-from nw_base.files.inside import what_is
-from nw_policies.bundle import SIZE_LIMIT
+from nw_policies.cards.control import MOST_PHYSICS_RATE, PHYSICS_RATE
 from nw_policies.cards.joints import short_name
 from nw_policies.drafting.beside import believed, read_beside, refuse_another_robot
 from nw_policies.drafting.checkpoint import (
@@ -29,6 +25,7 @@ from nw_policies.drafting.checkpoint import (
     ExporterMetadata,
     inspect_checkpoint,
 )
+from nw_policies.drafting.feeders import with_encoders
 from nw_policies.drafting.inputs import (
     known_observations,
     parts_of,
@@ -42,7 +39,6 @@ from nw_policies.drafting.motors import motor_lines
 from nw_policies.drafting.notation import (
     CHECK,
     in_brackets,
-    key,
     number,
     one_or_list,
     plain,
@@ -71,7 +67,6 @@ from nw_policies.drafting.vectors import (
     sized_terms,
     terms_for,
 )
-from nw_policies.safety import file_kind
 from nw_scenes.robots import BUILT_IN, RobotSpec, get_robot, know_robot
 
 _ENOUGH_FEET, _TURNING_SPEED = 3, 0.3  # with which a robot stands; m/s ahead in turns
@@ -87,6 +82,7 @@ def write_card_draft(
     beside: Mapping[str, str] | None = None,
     statistics: Path | None = None,
     motions: Sequence[str] = (),
+    feeders: Sequence[str] = (),
 ) -> str:
     """Return the text of a card, to be saved as policy.yaml beside the checkpoint.
 
@@ -102,6 +98,7 @@ def write_card_draft(
         beside: name and text of files beside the checkpoint, for facts that it lacks.
         statistics: the `VecNormalize` of Stable-Baselines3 that was saved with it.
         motions: files below the card's folder that may be the motion which it tracks.
+        feeders: paths of other networks beside it, one of which may encode an image for it.
 
     Raises:
         PolicyError: the file holds weights of a network that is not known here, does not fit
@@ -110,7 +107,7 @@ def write_card_draft(
     widths = [array.shape[-1] or 0 for array in facts.inputs if array.shape]
     widths = widths or [argument.size or 0 for argument in facts.script]
     size = (widths[0] if len(widths) == 1 else 0) or facts.taken
-    known = read_beside(beside or {}, robot, facts.path.name, facts.exporter, size)
+    known = read_beside(beside or {}, robot, str(facts.path), facts.exporter, size)
     pipeline = pipeline_of(beside or {}, facts.path.name)
     if pipeline is not None:
         known = with_pipeline(*pipeline, facts, known)
@@ -134,7 +131,7 @@ def write_card_draft(
         )
     notes = known.notes if known else ()
     if pipeline is None:
-        body, parts = _body(facts, layout, robot)
+        body, parts = _body(facts, layout, robot, feeders)
     else:
         draft = PipelineDraft(*pipeline, facts, layout)
         body, parts, notes = draft.lines(folder), draft.parts, (*notes, *draft.notes)
@@ -213,6 +210,7 @@ def draft_of(
     beside: Mapping[str, str] | None = None,
     statistics: str | None = None,
     motions: Sequence[str] = (),
+    feeders: Sequence[str] = (),
     taken: int = 0,
 ) -> dict[str, Any]:
     """Return the card of a checkpoint; as `write_card_draft`, from and as plain values.
@@ -238,6 +236,7 @@ def draft_of(
         beside=beside,
         statistics=None if statistics is None else Path(statistics),
         motions=motions,
+        feeders=feeders,
     )
     return {"text": text, "widths": _widths(facts, get_robot(robot), beside or {})}
 
@@ -247,7 +246,7 @@ def _widths(facts: CheckpointFacts, robot: RobotSpec, beside: Mapping[str, str])
     guessed = widths_to_try(facts)
     if not guessed or pipeline_of(beside, facts.path.name) is not None:
         return ()
-    known = read_beside(beside, robot, facts.path.name, facts.exporter)
+    known = read_beside(beside, robot, str(facts.path), facts.exporter)
     terms = sized_terms(known.observation_terms, len(robot.joints)) if known else ()
     sizes = [(term.width or 0) * (term.history or 1) for term in terms]
     named = (sum(sizes),) if sizes and all(sizes) else ()
@@ -299,16 +298,16 @@ def _summary(facts: CheckpointFacts) -> list[str]:
 
 
 def _body(
-    facts: CheckpointFacts, layout: str | None, robot: RobotSpec
+    facts: CheckpointFacts, layout: str | None, robot: RobotSpec, feeders: Sequence[str] = ()
 ) -> tuple[list[str], list[ObservationDraft]]:
     """Return command, observations, inputs and output as lines; and the observations."""
     if (known := known_observations(facts)) is not None:
         _refuse_unknown(layout, [], facts.path)
         return known, []
     joints = len(robot.joints)
-    by_input = _parts(facts, layout, joints)
+    by_input, networks = with_encoders(_parts(facts, layout, joints), facts, feeders)
     parts = [part for several in by_input.values() for part in several]
-    body = ["observations:"]
+    body = [*networks, "observations:"]
     for part in parts:
         body += [f"  {part.name}:", *(f"    {line}" for line in part.lines)]
     if any("command" in line.split("#")[0] for line in body):
@@ -317,7 +316,7 @@ def _body(
         listed = {argument.name for argument in facts.script if argument.images}
         inputs: list[str] = []
         for name, several in by_input.items():
-            combined = f"[{', '.join(part.name for part in several)}]"
+            combined = f"[{', '.join(part.fed or part.name for part in several)}]"
             inputs.append(
                 f"{quoted(name)}: {f'{{list: {combined}}}' if name in listed else combined}"
             )
@@ -482,12 +481,23 @@ def _rates(known: ExporterMetadata) -> list[str]:
     elif rate in {50, 25, 10, 5, 2, 1}:
         lines = [f"  rate: {number(rate)}{_from(known, 'rate')}"]
     else:
-        said = f"{known.sources.get('rate', 'the file')} says {number(rate)}"
-        lines = [f"  rate: 50  {CHECK} {said}, which does not divide 50: the policy is run slower"]
+        return _own_rates(known, rate)
     if physics not in {None, 200}:
         said = f"{known.sources.get('physics_rate', 'the file')} says {number(physics or 0)}"
         lines.append(f"  # physics_rate: 200  {said}; the protocol takes 200 alone")
     return lines
+
+
+def _own_rates(known: ExporterMetadata, rate: float) -> list[str]:
+    """Return the lines of a rate that does not divide 50, with physics of whole steps of it."""
+    wanted = (known.physics_rate or PHYSICS_RATE, *range(PHYSICS_RATE, MOST_PHYSICS_RATE + 1))
+    fits = (p for p in wanted if PHYSICS_RATE <= p <= MOST_PHYSICS_RATE and p % 1 == 0)
+    physics = next((p for p in fits if p / rate >= 1 and abs(p / rate - round(p / rate)) < 1e-6), 0)
+    source = known.sources.get("rate", "the file")
+    if not 1 <= rate <= MOST_PHYSICS_RATE or not physics:
+        return [f"  rate: 50  {CHECK} {source} says {number(rate)}, which no card can have"]
+    note = f"{source}; a suite of the protocol neverwhere-2026 takes 50 alone"
+    return [f"  rate: {number(rate)}  # {note}", f"  physics_rate: {number(physics)}"]
 
 
 def _action(
@@ -651,85 +661,3 @@ def other_layouts(parts: Sequence[ObservationDraft], robot: RobotSpec) -> list[s
 
 def _uncommented(line: str) -> str:
     return line.partition(CHECK)[0].rstrip()
-
-
-_ADAPTERS = {
-    ".jit": "torchscript",
-    ".onnx": "onnx",
-    ".pt": "torchscript",
-    ".pt2": "torch-export",
-    ".pth": "torchscript",
-}
-_MOST = 8
-"""Files that are named; a folder of saved steps of a training holds thousands."""
-_SAMPLE = 48
-"""Bytes that two files share where they hold the same weights."""
-
-
-def files_beside(checkpoint: Path) -> str:
-    """Return the lines under which other files would feed a checkpoint; empty if there are none.
-
-    Nothing of them is run.
-    """
-    beside = sorted(checkpoint.parent.glob("*"))
-    paths = [path for path in beside if _may_feed(path, checkpoint)]
-    if not paths or len(paths) > _MOST:
-        return ""
-    own = checkpoint.read_bytes()
-    paths = [path for path in paths if _is_another(path, own)]
-    if not paths:
-        return ""
-    lines = [
-        "",
-        "# If a file beside it feeds it, say so, and name it in `inputs` as an observation:",
-        "# networks:",
-    ]
-    for path in paths:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        lines += [
-            f"#   {key(path.stem)}:",
-            f"#     adapter: {_ADAPTERS[path.suffix]}",
-            f"#     checkpoint: {{file: {quoted(plain(path.name))}, sha256: {digest}}}",
-            "#     inputs: []  # of the names under `observations`",
-        ]
-    return "\n".join(lines) + "\n"
-
-
-def _is_another(path: Path, own: bytes) -> bool:
-    """Whether a file may run, and has not the weights of the checkpoint.
-
-    Two exports of one policy, and the training's own file, hold the same numbers.
-    """
-    data = path.read_bytes()
-    try:
-        if file_kind(data, str(path)) in {"state-dict", "pickle", "safetensors"}:
-            return False
-    except PolicyError:
-        return False
-    numbers = _numbers(own)
-    samples = (numbers[len(numbers) * n // 32 :][:_SAMPLE] for n in range(1, 32))
-    return not any(len(set(sample)) > _SAMPLE // 4 and sample in data for sample in samples)
-
-
-def _numbers(own: bytes) -> bytes:
-    """Return the largest tensor of an archive of torch, whose code other files share; else all."""
-    try:
-        with ZipFile(BytesIO(own)) as archive:
-            plain = [each for each in archive.infolist() if each.compress_type == ZIP_STORED]
-            tensors = [each for each in plain if re.search(r"/data/\d+$", each.filename)]
-            return archive.read(max(tensors, key=lambda each: each.file_size))
-    except (BadZipFile, ValueError, OSError, RuntimeError, NotImplementedError):
-        return own
-
-
-def _may_feed(path: Path, checkpoint: Path) -> bool:
-    try:
-        return (
-            path.suffix in _ADAPTERS
-            and not path.is_symlink()
-            and what_is(path) == "file"
-            and not path.samefile(checkpoint)
-            and path.stat().st_size <= SIZE_LIMIT
-        )
-    except OSError:  # It is gone, or not ours to read.
-        return False

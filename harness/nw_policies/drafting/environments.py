@@ -16,7 +16,7 @@ from nw_policies.cards.joints import short_name
 from nw_policies.drafting.checkpoint import ExportedTerm, ExporterMetadata, HeightGrid
 from nw_policies.drafting.fields import Fields, per_second
 from nw_policies.drafting.layouts import TERM_OF, isaac_lab_order
-from nw_policies.drafting.motors import motor_groups
+from nw_policies.drafting.motors import motor_groups, with_limits
 from nw_policies.drafting.patterns import Patterns, reordered
 from nw_policies.drafting.tracking import MOTION_COMMAND
 from nw_scenes.robots import RobotSpec
@@ -80,7 +80,8 @@ def manager_term(
     scale = scale_of(term, "scale")
     limits = term.limits("clip")
     steps = steps or term.number("history_length")
-    period = term.below("params").number("period")
+    params = term.below("params")
+    period, skipped = params.number("period"), params.number("history_skip_frames") or 0.0
     flat = term.get("flatten_history_dim")
     return ExportedTerm(
         name=name,
@@ -90,6 +91,7 @@ def manager_term(
         history=min(max(int(steps or 0), 1), 100),
         flat_history=flat if isinstance(flat, bool) else None,
         width=len(scale) if scale and len(scale) > 1 else None,
+        every=int(skipped) if 1 <= skipped <= 50 else None,
         form=f"order: oldest_first, by: {'step' if by_step else 'term'}",
         keys=f"frequency: {1 / period:g}" if period and "phase" in name else "",
     )
@@ -221,7 +223,7 @@ def read_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Exporte
         joint_stiffness=patterns.motors(groups_of_motors, "stiffness"),
         joint_damping=patterns.motors(groups_of_motors, "damping"),
         default_joint_pos=(pose := patterns.values(state, "joint_pos", default=0.0)),
-        torque_limits=patterns.motors(groups_of_motors, "effort_limit"),
+        torque_limits=patterns.motors(with_limits(groups_of_motors), "effort_limit"),
         armature=patterns.motors(groups_of_motors, "armature"),
         friction_loss=_friction(patterns, groups_of_motors),
         viscous_friction=patterns.motors(groups_of_motors, "viscous_friction", default=0.0),
@@ -311,7 +313,7 @@ def read_direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> 
         joint_stiffness=patterns.motors(groups, "stiffness"),
         joint_damping=patterns.motors(groups, "damping"),
         default_joint_pos=patterns.values(asset.below("init_state"), "joint_pos", default=0.0),
-        torque_limits=patterns.motors(groups, "effort_limit"),
+        torque_limits=patterns.motors(with_limits(groups), "effort_limit"),
         armature=patterns.motors(groups, "armature"),
         friction_loss=_friction(patterns, groups),
         viscous_friction=patterns.motors(groups, "viscous_friction", default=0.0),

@@ -24,8 +24,9 @@ _PASSED_OVER: Mapping[str, Mapping[str, str]] = {
     "deploy": {
         "the numbers of the motors say the same": r"joint_names|actions\.\w+\.joint_(names|ids)",
         "the evaluation commands no heading": r"commands\..*\.ranges\.heading",
-        "its name says what it is": r"observations\.\w+\.(params\.(asset_cfg|command_name).*)",
+        "its name says what it is": r"observations\..*params\.((asset|sensor)_cfg|command_name).*",
         "a card's frames are one row": r"observations\.\w+\.flatten_history_dim",
+        "it is seen in the encoder": r"observations\..*params\.num_output_frames",
     },
     "io_descriptors": {
         "the robot has its own": r"""

@@ -239,6 +239,11 @@ def _noted(part: ObservationDraft, note: str) -> ObservationDraft:
     return replace(part, lines=(part.lines[0], note, *part.lines[1:]))
 
 
+def image_lines(array: ArrayFacts) -> list[str]:
+    """Return the lines of an image that a network takes."""
+    return _image(array, _without_batch(array.shape))
+
+
 def _image(array: ArrayFacts, shape: tuple[int | None, ...]) -> list[str]:
     stack, (first, second, third) = shape[0] if len(shape) == 4 else None, shape[-3:]
     chw = first is None or first in {1, 3} or (third not in {1, 3} and first < (third or 0))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, cast
 
 from nw_base.files.inside import what_is
 from nw_policies.cards.motors import MOST_STEPS
@@ -19,8 +19,11 @@ from nw_policies.drafting.patterns import Patterns
 
 Group = Mapping[str, Any]
 """Keys of a card's group of motors, with their values."""
+TOLD_LATE = "its motors were told {:g} to {:g} physics steps late"
 _SERVOS = re.compile(r"Implicit|IdealPD|BuiltinPosition|XmlPosition", re.IGNORECASE)
-_KNOWN = re.compile("DCMotor|DelayedPDActuator|ActuatorNetMLP|ActuatorNetLSTM", re.IGNORECASE)
+_KNOWN = re.compile(
+    "DCMotor|DelayedPDActuator|RemotizedPDActuator|ActuatorNetMLP|ActuatorNetLSTM", re.IGNORECASE
+)
 """Classes of which a card has all but what is drawn for each episode."""
 _NEWTONS = ("dynamic_friction", "viscous_friction")
 """Keys of Isaac Lab with Isaac Sim 5: `friction` is a torque there, N m. Before, it was a share of
@@ -55,9 +58,39 @@ def motor_groups(
         moving = group.get("dynamic_friction")
         if moving is not None and moving != friction:
             notes[f"its joints had friction {moving} when they moved: a card has one"] = None
-        if group.numbers("motor_strength") not in ((), (1.0,), (1.0, 1.0)):
-            notes["its motors had a strength that was drawn"] = None
+        strength = group.numbers("motor_strength")
+        if strength not in ((), (1.0,), (1.0, 1.0)):
+            low, high = min(strength), max(strength)
+            said = f"a strength that was drawn from {low:g} to {high:g}: the card has 1"
+            notes[f"its motors had {said}"] = None
+        if limits := _limits(group):
+            low, middle, high = limits
+            notes[
+                f"the torque limit of {', '.join(patterns.names_of(group))} depends on the angle, "
+                f"{low:g} to {high:g} N m: the card has the middle, {middle:g}"
+            ] = None
     return tuple(found), tuple(notes)
+
+
+def with_limits(groups: Sequence[Fields]) -> list[Fields]:
+    """Return groups of which those whose torque limit depends on the angle have the middle."""
+    return [
+        Fields({**group, "effort_limit": limits[1]}) if (limits := _limits(group)) else group
+        for group in groups
+    ]
+
+
+def _limits(group: Fields) -> tuple[float, float, float] | None:
+    """Return the least limit, the middle and the largest of `joint_parameter_lookup`, N m.
+
+    Its rows are an angle, a ratio of transmission and the torque (Isaac Lab's RemotizedPD).
+    """
+    rows = group.get("joint_parameter_lookup")
+    listed = cast("list[Any]", rows) if isinstance(rows, list) else []
+    torques = [row[2] for row in map(numbers_of, listed) if len(row) == 3]
+    if not torques or len(torques) < len(listed) or min(torques) <= 0.0:
+        return None
+    return min(torques), (min(torques) + max(torques)) / 2.0, max(torques)
 
 
 def _own_groups(
@@ -88,7 +121,7 @@ def _delay(group: Fields, physics_rate: float | None) -> tuple[int, list[str]]:
     most = group.number("max_delay") or 0.0
     least = group.number("min_delay") if "min_delay" in group else most
     least = min(least or 0.0, most)
-    note = f"its motors were told {least:g} to {most:g} physics steps late: the card has the middle"
+    note = f"{TOLD_LATE.format(least, most)}: the card has the middle"
     return late_steps((least + most) / 2.0, physics_rate), [note] if most > least else []
 
 

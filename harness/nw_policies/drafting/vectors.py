@@ -40,6 +40,8 @@ class ObservationDraft:
     lines: tuple[str, ...]
     ways: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
     """What may stand in place of the lines behind `sensor`, by the layout that has it so."""
+    fed: str = ""
+    """The network that takes it, in whose place the checkpoint does not; empty = none."""
     fits: tuple[tuple[Frame, int], ...] = ()
     """Frames that it may hold, and how many of each: what the lines have first."""
 

@@ -413,6 +413,12 @@ def _call_of_arrays(name: str, arguments: tuple[Any, ...]) -> Any:
             return letters.encode("latin1")
         case "flax.core.frozen_dict.FrozenDict", (dict() as items,):
             return items
+        # A tensor in a pickle is a file of torch in it, which nothing here needs.
+        case ("torch.storage._load_from_bytes", (bytes(),)) | (
+            "torch._utils._rebuild_tensor_v2",
+            (Opaque(), *_),
+        ):
+            return Opaque(name=name)
         case _, (str() | int(),) if _OBJECTS.fullmatch(name):  # A member of an enumeration.
             return Opaque(name=name)
         case _:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -51,15 +51,19 @@ def driven(actuators: Actuators, card: Card, robot: RobotSpec, programs: Program
     Raises:
         PolicyError: a group does not fit the robot, or its network cannot be used.
     """
-    drives: list[Drive] = []
+    drives = tuple(drives_of(card, robot, programs))
+    return replace(actuators, drives=drives) if drives else actuators
+
+
+def drives_of(card: Card, robot: RobotSpec, programs: Programs) -> Iterator[Drive]:
+    """Give the groups of motors of a card, each with its network; it raises as `driven`."""
     networks = 0
     for motor, joints in motor_groups(card, robot):
         program = None
         if isinstance(motor, NetworkMotor):
             program = programs(networks, len(joints), 2 * len(motor.history))
             networks += 1
-        drives.append(Drive(motor=motor, joints=joints, program=program))
-    return replace(actuators, drives=tuple(drives)) if drives else actuators
+        yield Drive(motor=motor, joints=joints, program=program)
 
 
 def packed_programs(drives: Sequence[Drive]) -> bytes:

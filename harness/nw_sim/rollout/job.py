@@ -63,6 +63,13 @@ class TrialJob:
     time_limit: float = 600.0  # s of wall time after which the trial counts as hung
     attachments: tuple[tuple[str, str], ...] = ()  # (name, text): the suite, the policy's card
 
+    @property
+    def also(self) -> tuple[Path, ...]:
+        """What it reads beside scene and policy: the robot's folder, and the task's motion."""
+        robot = () if self.robot_folder is None else (self.robot_folder,)
+        motion = getattr(self.task, "motion", None)
+        return robot if motion is None else (*robot, Path(motion.file))
+
 
 def kernels_of(robot: str, card: Card, *projections: Projection) -> tuple[Kernels, ...]:
     """Return which kernels of the CPU draw what cameras see, run a card's networks, and cast rays.

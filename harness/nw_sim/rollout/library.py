@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from nw_scenes.rays import RayScene
     from nw_sim.rollout.driven import Programs
     from nw_sim.rollout.job import TrialJob
+    from nw_sim.tasks import TaskSettings
     from nw_sim.tasks.reference import Reference
 
 
@@ -88,20 +89,23 @@ class Library:
         know_robot(job.robot, job.robot_folder)
         return self.bundle(job.policy, job.checkpoint).by_its_own_runtime(job.operator)
 
-    def motion(self, bundle: Bundle, world: World, card: Card) -> Reference | None:
+    def motion(
+        self, bundle: Bundle, world: World, card: Card, task: TaskSettings
+    ) -> Reference | None:
         """Return the motion that a policy tracks, on its robot; None if it tracks none.
 
         Args:
             bundle: of the policy.
             world: of the robot.
             card: the bundle's, as the trial has it.
+            task: which may name the motion.
 
         Raises:
             PolicyError: the motion cannot be used.
         """
         from nw_sim.rollout.referenced import reference_of
 
-        return None if bundle.motion is None else reference_of(bundle, world, card)
+        return reference_of(bundle, world, card, getattr(task, "motion", None))
 
     def motors(self, bundle: Bundle) -> Programs:
         """Return what gives the networks of a bundle's motors."""

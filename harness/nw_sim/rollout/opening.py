@@ -99,7 +99,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             duration=job.duration,
             control_period=world.control_period,
             contact_termination=job.contact_termination,
-            reference=library.motion(bundle, world, card),
+            reference=library.motion(bundle, world, card, job.task),
             own=own_targets(card, robot) if getattr(job.task, "targets", None) else None,
         )
         with extension_at_fault():

@@ -1,4 +1,4 @@
-"""The motion of a policy's card, put on its robot: joints in its order, at the control rate.
+"""The motion of a card or of a suite, put on the robot: joints in its order, at the control rate.
 
 Between the frames of a file positions and angles are interpolated, and orientations along the
 shortest arc, as `scripts/csv_to_npz.py` of HybridRobotics/whole_body_tracking does it. All poses of
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from nw_base.errors import PolicyError, StoreError
 from nw_base.memory import pack, unpack
 from nw_base.plural import plural
+from nw_policies.bundle import Weights, read_file
 from nw_policies.cards import JointControl
 from nw_policies.cards.joints import level_by_level, short_name
 from nw_policies.motions.motion import FRAMES
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from nw_policies.cards import Card
     from nw_policies.motions.motion import Array, MotionFile
     from nw_sim.physics import World
+    from nw_sim.tasks.track import Motion
 
 _LOOKED_AT = 5
 """Frames at which orders of joints are compared."""
@@ -37,26 +40,37 @@ _CLEARLY = 0.005
 """m by which another order must be better than the robot's own."""
 
 
-def reference_of(bundle: Bundle, world: World, card: Card) -> Reference:
-    """Return the motion of a card on its robot.
+def reference_of(
+    bundle: Bundle, world: World, card: Card, named: Motion | None = None
+) -> Reference | None:
+    """Return the motion of a suite or of a card on the robot; None where neither names one.
 
     Args:
-        bundle: with the motion.
+        bundle: with the motion of its card.
         world: of the robot, at its control rate.
-        card: of the policy, as the trial has it.
+        card: of the policy, as the trial has it; its anchor and bodies count for any motion.
+        named: the suite's, which counts before the card's.
 
     Raises:
         PolicyError: the file is no motion, or one of another robot; says what is wrong with it.
     """
-    assert bundle.motion is not None
+    if card.reference is None or (named is None and bundle.motion is None):
+        return None
+    file = bundle.motion
+    if named is not None:
+        file = Weights(Path(named.file), named.sha256 or "")
+        said = card.reference.model_copy(update={"rate": named.rate, "joints": named.joints})
+        card = card.model_copy(update={"reference": said})
+    assert file is not None
     control, robot = card.control, world.robot
     wanted = (
-        *(bundle.motion.sha256, card.reference, repr(control.joints), repr(control.default_pose)),
+        *(file.sha256, card.reference, repr(control.joints), repr(control.default_pose)),
         *(robot.mjcf, robot.bodies, robot.joints, world.control_rate),
     )
     if (known := _known.get(wanted)) is None:
-        where = str(bundle.motion.path)
-        known = _Fitting(read_motion(bundle.read_motion(), where), world, card, where).reference()
+        where = str(file.path)
+        data = read_file(file, bundle.folder, "motion")
+        known = _Fitting(read_motion(data, where), world, card, where).reference()
         while len(_known) >= _KEPT:
             del _known[next(iter(_known))]
         _known[wanted] = known

@@ -1,13 +1,13 @@
-"""The task `track`: follow the reference motion of the policy's card."""
+"""The task `track`: follow the reference motion of the suite, or of the policy's card."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Annotated, Literal
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from nw_base.errors import PolicyError
 from nw_base.memory import pack, unpack
@@ -36,6 +36,10 @@ _OFF = np.array([0.05, 0.05, 0.01, 0.1, 0.1, 0.2])
 _JOINTS_OFF = 0.1
 """rad, its `joint_position_range`."""
 _TRACKS = "give track a policy with a reference motion, or add `reference` to its card"
+NAMED = "name it in the suite: `task: {kind: track, motion: {file: FILE}}`, or on the card"
+
+
+AnySettings = TypeVar("AnySettings", bound=TaskSettings)
 
 
 class Lost(TaskPart):
@@ -48,6 +52,19 @@ class Lost(TaskPart):
     """
     ends: float = Field(default=0.25, gt=0.0, le=10.0)
     """m by which an end effector may be higher or lower than the motion's."""
+
+
+class Motion(TaskPart):
+    """A motion that a suite names, in place of the one of the policy's card."""
+
+    file: str = Field(min_length=1, max_length=1024)
+    """Path, from the suite's folder."""
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = None
+    """Hex digest that the file must have; null = whatever lies there is taken, and recorded."""
+    rate: Annotated[float, Field(ge=1.0, le=2000.0)] | None = None
+    """Frames per second, Hz, where the file does not say it."""
+    joints: Annotated[tuple[str, ...], Field(min_length=1, max_length=500)] | None = None
+    """The joints of the file in its order, where it does not name them; null = as for a card."""
 
 
 class TrackSettings(TaskSettings):
@@ -66,6 +83,24 @@ class TrackSettings(TaskSettings):
     ground plane, 0.01 m of height, 0.1 rad of roll and pitch, 0.2 rad of yaw, and 0.1 rad of each
     joint."""
     lost: Lost = Lost()
+    motion: Motion | None = None
+    """The motion, in place of the card's; null = the card's."""
+
+    @model_serializer(mode="wrap")
+    def _without_absent(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out a motion that is not given: suites without one keep their digest."""
+        fields: dict[str, Any] = dump(self)
+        return {key: value for key, value in fields.items() if key != "motion" or value is not None}
+
+
+def with_motion(task: AnySettings, place: Callable[[str], str]) -> AnySettings:
+    """Return a task whose motion, if it names one, lies where `place` says of its file."""
+    motion = getattr(task, "motion", None)
+    if not isinstance(motion, Motion):
+        return task
+    return task.model_copy(
+        update={"motion": motion.model_copy(update={"file": place(motion.file)})}
+    )
 
 
 class TrackTask(TimedTask):
@@ -138,9 +173,7 @@ class TrackTask(TimedTask):
         """
         motion = self._rules.reference
         if motion is None:
-            raise PolicyError(
-                "the policy tracks no motion: its card has no `reference`", fix=_TRACKS
-            )
+            raise PolicyError("neither the suite nor the policy's card names a motion", fix=NAMED)
         self._limits = Limits.of(robot)
         period, chosen = self._rules.control_period, self._settings.start
         last = len(motion) - 1

@@ -9,6 +9,7 @@ import torch
 from torch import nn
 
 from nw_base.errors import PolicyError
+from nw_eval import api
 from nw_policies import load_bundle
 from nw_policies.cards import Card, load_card, motor_groups
 from nw_scenes.robots import get_robot
@@ -95,6 +96,42 @@ def test_a_network_of_another_size_is_refused_before_the_first_step(tmp_path):
     network(tmp_path / "m" / "motor.pt", size=4)
     with pytest.raises(PolicyError, match="takes 4 numbers a joint, the card gives it 6"):
         record(load_bundle(card), scene="flat/carpet_room", seconds=0.1)
+
+
+SUITE = """\
+nw-eval: 1
+name: quick
+robot: go1
+policy: {policy}
+trials: 1
+seed: 5
+scenes: [flat/carpet_room]
+"""
+
+
+@pytest.mark.parametrize(
+    ("size", "said"),
+    [
+        (4, "takes 4 numbers a joint, the card gives it 6"),
+        (0, "no network of a motor that is known here"),
+        (6, None),
+    ],
+)
+def test_a_suites_check_reads_the_networks_of_motors(size, said, tmp_path):
+    write(tmp_path / "m", f"[{{{NETWORK}}}]")
+    file = tmp_path / "m" / "motor.pt"
+    if size:
+        network(file, size=size)
+    else:
+        torch.jit.script(nn.Conv1d(6, 1, 1)).save(str(file))
+    (tmp_path / "suite.yaml").write_text(SUITE.format(policy=tmp_path / "m"))
+    if said is None:
+        assert api.plan(str(tmp_path / "suite.yaml"))
+        return
+    with pytest.raises(PolicyError) as caught:
+        api.plan(str(tmp_path / "suite.yaml"))
+    assert said in str(caught.value)
+    assert "motor.pt" in str(caught.value)
 
 
 def test_a_network_drives_no_joint_that_is_told_torques(tmp_path):

@@ -70,6 +70,33 @@ def test_deploy_yaml_is_the_whole_card(card_of):
     assert "rounds these numbers" not in text
 
 
+def test_terms_of_a_group_of_deploy_yaml_are_its_terms_and_copies_beside_it_are_not_read(card_of):
+    head, terms = DEPLOY.split("observations:\n")
+    inner = "".join(f"  {line}\n" for line in terms.splitlines())
+    grouped = f"{head}observations:\n  obs:\n    use_gym_history: true\n{inner}"
+    files = {
+        "../params/deploy copy.yaml": DEPLOY.replace("stiffness: [20,", "stiffness: [99,"),
+        "../params/deploy.yaml": grouped,
+    }
+    text, card = card_of(3 * 35, files)
+    assert words(card) == ["ang_vel", "gravity", "command", "clock", "joint_pos", "last_output"]
+    assert card.observations["obs"].history.by == "step"
+    assert 99 not in card.control.kp
+    assert "not read, of another policy by names or sizes: ../params/deploy copy.yaml" in text
+
+
+@pytest.mark.parametrize(
+    ("step", "steps", "rates"),
+    [(0.001, 10, (100, 1000)), (0.005, 3, (66.666667, 200)), (0.004, 4, (62.5, 250))],
+)
+def test_a_rate_that_does_not_divide_50_is_the_cards_with_the_physics_of_the_training(
+    step, steps, rates, card_of
+):
+    times = f"go2: {{dt: {step}, decimation: {steps}}}"
+    _, card = card_of(3 * 45, {"config.yaml": SAR, "../base.yaml": times})
+    assert (card.control.rate, card.control.physics_rate) == pytest.approx(rates, rel=1e-6)
+
+
 def test_a_deploy_yaml_beside_env_yaml_is_believed_first(card_of):
     beside = {"../params/deploy.yaml": DEPLOY, "../params/env.yaml": ENVIRONMENT}
     text, card = card_of(3 * 35, beside)

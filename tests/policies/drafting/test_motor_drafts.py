@@ -1,5 +1,7 @@
 """Motors in drafts, from what Isaac Lab, mjlab and Isaac Gym's trainings write beside."""
 
+import pickle  # noqa: TID251 - a file of a training is made here.
+
 import pytest
 import torch
 from torch import nn
@@ -8,6 +10,7 @@ from nw_policies.cards import load_card
 from nw_policies.drafting.beside import read_beside
 from nw_policies.drafting.checkpoint import inspect_checkpoint
 from nw_policies.drafting.draft import write_card_draft
+from nw_policies.drafting.layouts import LEG_BY_LEG as LEGS
 from nw_policies.drafting.motors import motor_lines
 from nw_scenes.robots import get_robot
 
@@ -90,6 +93,76 @@ def test_a_kind_of_motor_whose_numbers_are_not_known_is_to_be_checked(kind):
     found = known(f"class_type: 'm:{kind}', joint_names_expr: [.*], stiffness: 25, damping: 0.5")
     assert found.motors == ()
     assert f"its motors are of the kind {kind}: the card has servos" in found.notes
+
+
+def test_a_torque_limit_that_depends_on_the_angle_is_the_middle_and_to_be_checked():
+    # As Isaac Lab's Spot has its knees: angle, ratio of transmission, torque.
+    knees = (
+        "class_type: 'm:RemotizedPDActuator', joint_names_expr: [.*_calf], effort_limit: null, "
+        "stiffness: 60, damping: 1.5, min_delay: 0, max_delay: 4, joint_parameter_lookup: "
+        "[[-2.79, -24.78, 37.2], [-1.5, -70.0, 115.0], [-0.25, -20.0, 30.6]]"
+    )
+    found = known(DC.replace("[.*]", "['.*_hip', '.*_thigh']"), knees)
+    limits = dict(zip(found.joint_names, found.torque_limits, strict=True))
+    assert (limits["FL_calf"], limits["FL_hip"]) == (72.8, 23.5)
+    said = next(note for note in found.notes if "depends on the angle" in note)
+    assert "30.6 to 115 N m: the card has the middle, 72.8" in said
+    assert {group["delay"] for group in found.motors if group["kind"] == "pd"} == {2}
+
+
+def test_a_lookup_that_is_none_changes_no_limit():
+    odd = "class_type: 'm:RemotizedPDActuator', joint_names_expr: [.*], effort_limit: 30"
+    for rows in ("[[1, 2]]", "[[1, 2, -3]]", "[]", "null", "[[1, 2, 3], x]"):
+        found = known(f"{odd}, joint_parameter_lookup: {rows}")
+        assert found.torque_limits == (30.0,) * 12
+        assert not any("depends on the angle" in note for note in found.notes)
+
+
+def test_a_strength_that_is_drawn_is_said_with_its_range():
+    found = known(f"{DC}, motor_strength: [0.8, 1.2]")
+    assert "its motors had a strength that was drawn from 0.8 to 1.2: the card has 1" in found.notes
+
+
+PICKLED = {
+    "Cfg": {
+        "init_state": {"default_joint_angles": {f"{j}_joint": 0.0 for j in LEGS}},
+        "control": {
+            "stiffness": {"joint": 20.0}, "damping": {"joint": 0.5}, "action_scale": 0.25,
+            "decimation": 4,
+        },
+        "sim": {"dt": 0.005},
+        "domain_rand": {
+            "randomize_motor_strength": True, "motor_strength_range": [0.7, 1.1],
+            "randomize_Kp_factor": False, "Kp_factor_range": [0.5, 1.5],
+            "add_cmd_action_latency": True, "range_cmd_action_latency": [1, 3],
+            "gravity": torch.zeros(3),
+        },
+    }
+}  # fmt: skip
+
+
+def test_the_pickle_of_a_training_is_read_without_running_it():
+    letters = pickle.dumps(PICKLED).decode("latin-1")
+    found = read_beside({"../parameters.pkl": letters}, GO2)
+    assert (found.joint_stiffness, found.rate) == ((20.0,) * 12, 50.0)
+    assert [dict(group) for group in found.motors] == [{"joints": "*", "kind": "pd", "delay": 2}]
+    notes = " ".join(found.notes)
+    assert "the strength of its motors was drawn from 0.7 to 1.1" in notes
+    assert "told 1 to 3 physics steps late: the card has the middle" in notes
+    assert "kp" not in notes, "which was not drawn"
+
+
+class Runs:
+    def __reduce__(self):
+        return eval, ("open('RAN', 'w')",)
+
+
+def test_a_pickle_that_would_run_something_is_not_read_and_said_to_be(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    letters = pickle.dumps({**PICKLED, "more": Runs()}).decode("latin-1")
+    found = read_beside({"../parameters.pkl": letters, "env.yaml": HEAD.replace("    ", " ")}, GO2)
+    assert not (tmp_path / "RAN").exists()
+    assert any("parameters.pkl was not read" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(

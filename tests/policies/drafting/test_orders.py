@@ -93,3 +93,25 @@ def test_a_deploy_config_with_an_estimator_is_of_frames_newest_first(size, card_
         history = seen.history
         assert (history.steps, history.order, history.by) == (6, "newest_first", "step")
     assert "of another policy by names or sizes" not in text
+
+
+@pytest.mark.parametrize(
+    ("key", "places"),
+    [
+        ("mapping_joints", [0, 3, 6, 9, 1, 4, 7, 10, 2, 5, 8, 11]),
+        ("isaac_to_mujoco_map", [0, 4, 8, 1, 5, 9, 2, 6, 10, 3, 7, 11]),
+    ],
+)
+def test_a_scripts_permutation_of_mujocos_joints_is_the_order_in_either_direction(
+    key, places, card_of
+):
+    config = GYM.replace(
+        "joint2motor_idx: [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]", f"{key}: {places}"
+    )
+    config = config.replace("num_obs: 45", "num_obs: 180\nhistory_length: 4\naction_clip: 3")
+    _, card = card_of(180, {"configs/go2.yaml": config})
+    assert card.control.joints == BY_TYPE
+    assert card.control.default_pose[:4] == [0.1, -0.1, 0.1, -0.1]
+    assert card.control.clip == (-3, 3)
+    # Isaac Lab has the frames of a term in a row; other scripts have them frame by frame.
+    assert card.observations["obs"].history.by == ("term" if "isaac" in key else "step")

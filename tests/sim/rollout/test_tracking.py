@@ -1,7 +1,7 @@
 """Motions on a Go1: how they are fitted to it, what a policy sees, and how trials end."""
 
+import hashlib
 import io
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,6 +26,7 @@ from nw_sim.rollout.trial import run_trial
 from nw_sim.sensors import StepContext, build_sensors
 from nw_sim.tasks import TaskRules, TrackSettings, fault_of, open_task
 from nw_sim.tasks.reference import PlacedReference
+from nw_sim.tasks.track import Motion
 
 SCENE = "open/field"
 STANDING = [-0.3, 0.78, -1.79, 0.3, 0.78, -1.79, -0.2, 1.07, -1.63, 0.2, 1.07, -1.63]
@@ -363,12 +364,47 @@ def opened_world():
 
 
 def motion_of_bytes(data, world, bundle):
-    class Held(SimpleNamespace):
-        def read_motion(self):
-            return data
+    file = bundle.folder / "other.csv"
+    file.write_bytes(data)
+    named = Motion(file=str(file), sha256=hashlib.sha256(data).hexdigest(), rate=50)
+    return reference_of(bundle, world, bundle.card, named)
 
-    motion = SimpleNamespace(sha256="here", path="motion.csv")
-    return reference_of(Held(motion=motion), world, bundle.card)
+
+def test_a_motion_that_the_task_names_is_tracked_in_place_of_the_cards(policy, world, tmp_path):
+    bundle = policy(csv(*still()))
+    data = csv(*waving())
+    file = tmp_path / "elsewhere" / "wave.csv"
+    file.parent.mkdir()
+    file.write_bytes(data)
+    named = {"file": str(file), "sha256": hashlib.sha256(data).hexdigest()}
+    job = job_of(bundle, start=0.0, motion={**named, "rate": 50})
+    with open_trial(job, Library(), StageClock()) as trial:
+        placed = trial.episode.task.reference
+        np.testing.assert_allclose(placed.motion.joint_positions, waving()[1], atol=1e-9)
+    assert job.also == (file,)
+    # Its frames count by what the task says, not by the card's 50 a second.
+    slow = job_of(bundle, start=0.0, motion={**named, "rate": 25})
+    with open_trial(slow, Library(), StageClock()) as trial:
+        assert len(trial.episode.task.reference.motion) == pytest.approx(200, abs=2)
+    with pytest.raises(PolicyError, match="does not say how many frames"):
+        open_trial(job_of(bundle, start=0.0, motion=named), Library(), StageClock())
+    file.write_bytes(csv(*still()))
+    with pytest.raises(PolicyError, match="the motion changed while it was in use"):
+        reference_of(bundle, world, bundle.card, Motion(**named, rate=30))
+
+
+def test_a_card_may_leave_its_motion_to_the_suite(policy, world, tmp_path):
+    policy(csv(*still()))
+    card = (tmp_path / "policy.yaml").read_text()
+    card = card.replace("file: motion.csv, rate: 50", "bodies: [trunk]")
+    (tmp_path / "policy.yaml").write_text(card)
+    bundle = load_bundle(tmp_path)
+    assert bundle.motion is None
+    assert reference_of(bundle, world, bundle.card) is None
+    with pytest.raises(PolicyError, match="neither the suite nor the policy's card names a motion"):
+        open_trial(job_of(bundle), Library(), StageClock())
+    motion = motion_of_bytes(csv(*waving()), world, bundle)
+    assert motion.bodies == ("trunk",)
 
 
 def test_a_damaged_motion_of_a_log_is_said(policy, world):

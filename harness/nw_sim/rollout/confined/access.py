@@ -26,15 +26,15 @@ OPENING_SECONDS = 25
 
 
 def inspecting_rules(
-    checkpoint: Path, *, robot: Path | None = None, also: Path | None = None
+    checkpoint: Path, *, robot: Path | None = None, also: Sequence[Path] = ()
 ) -> Rules:
     """Return the rules of a process that reads one checkpoint, without a card.
 
-    It may read the folder of the robot that the checkpoint drives, a file that `also` names, and
+    It may read the folder of the robot that the checkpoint drives, files that `also` names, and
     what LEAPP wrote beside it of the state that a pipeline begins with.
     """
     beside = sorted(checkpoint.parent.glob("*_initial_values.safetensors"))[:4]
-    paths = (checkpoint, robot, also, *beside, *robots_kept())
+    paths = (checkpoint, robot, *also, *beside, *robots_kept())
     return Rules(
         reads=tuple(path.resolve() for path in paths if path is not None),
         memory=memory_to_open(_size(checkpoint)),

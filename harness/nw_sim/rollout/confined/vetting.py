@@ -44,7 +44,7 @@ def vet_bundle(
     physics_steps(bundle.card, protocol)
     if bundle.card.adapter == "remote":
         bundle = _with_server(bundle, robot, allow_code=allow_code)
-    if bundle.checkpoint is None and not bundle.code_sha256:
+    if bundle.checkpoint is None and not bundle.code_sha256 and not bundle.motors:
         # There is no untrusted file to open but the card, and a server was asked already.
         check_bundle(bundle, get_robot(robot), allow_code=allow_code, may_fail=may_fail)
         return bundle
@@ -132,14 +132,18 @@ def check_bundle(
 
     Raises:
         PolicyError: as `check_card`; the checkpoint, or a network that feeds it, cannot be loaded,
-            wants another number of values than the card makes, or fails on zeros.
+            wants another number of values than the card makes, or fails on zeros; a network of
+            motors cannot be read.
     """
     # Sensors know the simulator, for which the process that vets a bundle may have no use.
     from nw_policies.trying import ShownInput, try_bundle
+    from nw_sim.rollout.driven import drives_of, programs_of
     from nw_sim.sensors.build import check_card
 
     code_from = bundle.folder if allow_code else None
     specs = check_card(bundle.card, robot, where=bundle.card_path, code_from=code_from)
     shown = [ShownInput(spec.name, spec.shape, spec.dtype.str, spec.reckoning) for spec in specs]
+    for _ in drives_of(bundle.card, robot or get_robot(bundle.card.robot), programs_of(bundle)):
+        pass  # Reading it is the check.
     try_bundle(bundle, shown, allow_code=allow_code, may_fail=may_fail, seconds=seconds)
     return specs

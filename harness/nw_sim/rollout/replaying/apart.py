@@ -334,9 +334,8 @@ def _readied(
         )
     if renders:
         scene.splat_store()
-    robot = [] if job.robot_folder is None else [job.robot_folder]
     rules = running_rules(
-        bundle, scenes=[job.scene], logs=folder, allow_code=job.allow_code, also=[log, *robot]
+        bundle, scenes=[job.scene], logs=folder, allow_code=job.allow_code, also=[log, *job.also]
     )
     projections = job.rendering.projection, SHOWN.projection
     kernels = kernels_of(job.robot, bundle.card, *projections) if renders else ()

@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from nw_sim.rollout.job import TrialJob
     from nw_sim.rollout.mcap.reader import LogReader
     from nw_sim.rollout.replaying.logged import LoggedTrial
+    from nw_sim.tasks import TaskSettings
     from nw_sim.tasks.reference import Reference
 
 _OF_THE_TRIAL = ("state_digest", "action_digest", "scores")
@@ -422,7 +423,13 @@ class _WithReplayPolicy(Library):
     def bundle(self, reference: str, checkpoint: Path | None) -> Bundle:  # noqa: ARG002 - it has one.
         return self._bundle
 
-    def motion(self, bundle: Bundle, world: World, card: Card) -> Reference | None:  # noqa: ARG002
+    def motion(
+        self,
+        bundle: Bundle,  # noqa: ARG002 - the log has the motion, whoever named it.
+        world: World,
+        card: Card,
+        task: TaskSettings,  # noqa: ARG002
+    ) -> Reference | None:
         if card.reference is None:
             return None
         data = self._logged.log.attachments().get(MOTION, b"")

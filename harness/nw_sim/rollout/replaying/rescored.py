@@ -163,7 +163,7 @@ def _of_run(
     rules = running_rules(
         replay_bundle(logged),
         scenes=[logged.job.scene],
-        also=[logged.path, *([] if folder is None else [folder])],
+        also=[logged.path, *logged.job.also],
     )
     answer = call_isolated(
         _lead,

@@ -1,0 +1,207 @@
+"""Trainings in Isaac Gym whose settings and observations stand in Python files: read, never run.
+
+legged_gym and its forks (humanoid-gym, HIMLoco, trainings of EngineAI and of Unitree) register each
+task with a class of settings and one of the environment, whose `compute_observations` joins what
+the policy sees. Of the settings the constants are read, with those of the classes below; of the
+method the terms (`training_terms`). What is computed otherwise stays unknown.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, cast
+
+from nw_policies.cards.joints import short_name
+from nw_policies.drafting.checkpoint import ExporterMetadata
+from nw_policies.drafting.constants import follow_settings
+from nw_policies.drafting.fields import Fields
+from nw_policies.drafting.gym_training import is_gym_training, read_gym_training
+from nw_policies.drafting.notation import plain
+from nw_policies.drafting.training_terms import OBSERVES, Environment, seen_terms
+from nw_scenes.robots import RobotSpec
+
+_DEEPEST = 12
+"""Classes below a class."""
+_OTHERS = 6
+"""Tasks that fit as well and are named."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Task:
+    """A registered training."""
+
+    name: str
+    settings: str
+    """Name of the class."""
+    environment: str
+    trainer: str
+
+
+class _Classes:
+    """Classes of several files by name; of two that are called alike, that of the own file."""
+
+    def __init__(self, texts: Mapping[str, str]) -> None:
+        self.found: dict[str, list[tuple[str, ast.ClassDef]]] = {}
+        self.tasks: list[_Task] = []
+        for file, text in texts.items():
+            try:
+                tree = ast.parse(text)
+            except (SyntaxError, ValueError):
+                continue
+            for node in ast.walk(tree):
+                if isinstance(node, ast.ClassDef):
+                    self.found.setdefault(node.name, []).append((file, node))
+                elif isinstance(node, ast.Call):
+                    self.tasks += _task(node)
+
+    def of(self, name: str, file: str = "") -> tuple[str, ast.ClassDef] | None:
+        """Return the file of a class, and the class."""
+        found = self.found.get(name, [])
+        return next((pair for pair in found if pair[0] == file), found[0] if found else None)
+
+    def settings(self, name: str, file: str = "", depth: int = 0) -> dict[str, Any]:
+        """Return the constants of a class and of those below it; of inner classes, mappings."""
+        found = self.of(name, file)
+        if found is None or depth > _DEEPEST:
+            return {}
+        return self._inner(found[1], found[0], depth)
+
+    def _inner(self, node: ast.ClassDef, file: str, depth: int) -> dict[str, Any]:
+        values: dict[str, Any] = {}
+        for base in node.bases:
+            root, *path = _dotted(base)
+            inherited: Any = self.settings(root, file, depth + 1) if root != node.name else {}
+            for part in path:
+                inherited = inherited.get(part, {}) if isinstance(inherited, dict) else {}
+            values |= cast("dict[str, Any]", inherited) if isinstance(inherited, dict) else {}
+        for line in node.body:
+            if isinstance(line, ast.ClassDef):
+                values[line.name] = self._inner(line, file, depth + 1)
+            else:
+                follow_settings(line, values)
+        return values
+
+    def methods(
+        self, name: str, file: str = "", depth: int = 0
+    ) -> list[Mapping[str, ast.FunctionDef]]:
+        """Return the methods of a class, and of each that it inherits from, nearest first."""
+        found = self.of(name, file)
+        if found is None or depth > _DEEPEST:
+            return []
+        own = {line.name: line for line in found[1].body if isinstance(line, ast.FunctionDef)}
+        roots = [root for base in found[1].bases if (root := _dotted(base)[-1]) != name]
+        return [own, *(one for root in roots for one in self.methods(root, found[0], depth + 1))]
+
+
+def _dotted(node: ast.expr) -> list[str]:
+    """Return `a.b.c` as its parts; one empty part of anything else."""
+    if isinstance(node, ast.Attribute):
+        return [*_dotted(node.value), node.attr]
+    return [node.id if isinstance(node, ast.Name) else ""]
+
+
+def _task(node: ast.Call) -> Iterator[_Task]:
+    """Give the task of a call `task_registry.register("name", Environment, Settings(), ...)`."""
+    if _dotted(node.func)[-1] != "register" or len(node.args) < 3:
+        return
+    name, *classes = node.args
+    called = [each.func if isinstance(each, ast.Call) else each for each in classes]
+    if isinstance(name, ast.Constant) and isinstance(name.value, str):
+        names = [_dotted(each)[-1] for each in called]
+        yield _Task(
+            name=name.value,
+            environment=names[0],
+            settings=names[1],
+            trainer=names[2] if len(names) > 2 else "",
+        )
+
+
+def read_training_code(
+    texts: Mapping[str, str],
+    robot: RobotSpec,
+    checkpoint: str,
+    size: int,
+    saved: Mapping[str, Any] | None = None,
+) -> ExporterMetadata | None:
+    """Return what the code of a training says of a checkpoint; None where no task fits it.
+
+    Args:
+        texts: name and text of its files, below a folder `envs`.
+        robot: that the policy drives; a task of other joints does not fit.
+        checkpoint: its path, by whose names one of several tasks is taken.
+        size: numbers that it takes; 0 where it does not say.
+        saved: settings that were saved with the checkpoint, which count before those of the code.
+    """
+    try:
+        classes = _Classes(texts)
+        fits = [
+            (_likeness(task, classes, robot, f"{checkpoint} {_experiment(saved)}"), each)
+            for task in classes.tasks
+            if (each := _read(task, classes, robot, size, saved)) is not None
+        ]
+    except (RecursionError, MemoryError):
+        return ExporterMetadata(notes=("the code of the training is nested too deep to be read",))
+    if not fits:
+        return None
+    best = max(score for score, _ in fits)
+    named = [(task, said) for score, (task, said) in fits if score == best]
+    task, said = named[0]
+    others = [other.name for other, theirs in named[1:] if theirs != said]
+    file = (classes.of(task.environment) or ("",))[0]
+    note = (
+        f"its terms and settings are those of the task {task.name} in {plain(file)}, whose code "
+        "was read, not run: is that its training?"
+    )
+    if others:
+        note += f" {', '.join(others[:_OTHERS])} would fit as well"
+    marked = {field.name: plain(file) for field in fields(said) if getattr(said, field.name)}
+    return replace(said, notes=(plain(note), *said.notes), sources=marked)
+
+
+def _likeness(task: _Task, classes: _Classes, robot: RobotSpec, path: str) -> tuple[int, bool]:
+    """Return how well the names of a task are those of a checkpoint's path and of its robot."""
+    names = [_letters(task.name), _letters(_experiment(classes.settings(task.trainer)))]
+    lengths = [len(name) for name in names if name and name in _letters(path)]
+    asset = classes.settings(task.settings).get("asset")
+    own = str(asset.get("name")) if isinstance(asset, dict) else ""
+    return max(lengths, default=0), _letters(own) == _letters(robot.name)
+
+
+def _experiment(settings: Mapping[str, Any] | None) -> str:
+    runner = (settings or {}).get("runner")
+    return str(runner.get("experiment_name") or "") if isinstance(runner, dict) else ""
+
+
+def _letters(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+def _read(
+    task: _Task, classes: _Classes, robot: RobotSpec, size: int, saved: Mapping[str, Any] | None
+) -> tuple[_Task, ExporterMetadata] | None:
+    """Return what a task says of a robot's policy; None where it is of another, or not read."""
+    settings = {**classes.settings(task.settings), **(saved or {})}
+    config = Fields(settings)
+    methods = classes.methods(task.environment)
+    if not is_gym_training(config) or not any(OBSERVES in own for own in methods):
+        return None
+    joints = len(robot.joints)
+    pose = {short_name(name) for name in config.below("init_state").below("default_joint_angles")}
+    actions = config.below("env").number("num_actions")
+    if actions not in {None, joints} or not pose >= set(map(short_name, robot.joints)):
+        return None
+    terms = seen_terms(Environment(settings=settings, methods=methods, joints=joints))
+    total = sum((term.width or 0) * (term.history or 1) for term in terms)
+    if size not in {0, total or config.below("env").number("num_observations")}:
+        return None
+    said = read_gym_training(config, robot, ())
+    # Without terms its note stands, that the code alone has them.
+    return task, replace(said, observation_terms=terms, notes=() if terms else said.notes)
+
+
+def settings_of(texts: Sequence[Fields]) -> Mapping[str, Any] | None:
+    """Return the settings of a training that were saved as a file; None where there are none."""
+    return next((data for data in texts if "env" in data and is_gym_training(Fields(data))), None)

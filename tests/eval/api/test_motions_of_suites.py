@@ -1,0 +1,116 @@
+"""A suite that names the motion to track: its digest counts for trials, its faults have a place."""
+
+import pytest
+import yaml
+
+from nw_base.errors import PolicyError, SuiteError
+from nw_eval import api
+from nw_eval.suite import load_suite
+
+STANDING = "0,0,0.257,0,0,0,1," + ",".join(
+    map(str, [-0.3, 0.78, -1.79, 0.3, 0.78, -1.79, -0.2, 1.07, -1.63, 0.2, 1.07, -1.63])
+)
+CARD = """\
+nw-policy: 1
+name: tracker
+robot: go1
+adapter: zero
+control: {action: joint_position_offset, scale: 0.25}
+reference: {anchor: trunk}
+observations:
+  motion: {sensor: reference, terms: [joint_positions]}
+"""
+SUITE = """\
+nw-eval: 1
+name: dances
+robot: go1
+policy: ./tracker
+trials: 1
+seed: 5
+episode: {duration: 1.0}
+task: {kind: track, start: 0.0, motion: {file: motions/stand.csv, rate: 1}}
+scenes: [open/field]
+record: none
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A suite beside the folder of its policy, and of its motion of two seconds."""
+    for name in ("tracker", "motions"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "tracker" / "policy.yaml").write_text(CARD)
+    (tmp_path / "motions" / "stand.csv").write_text(f"{STANDING}\n" * 3)
+    (tmp_path / "suite.yaml").write_text(SUITE)
+    return tmp_path
+
+
+def changed(folder, old, new):
+    text = (folder / "suite.yaml").read_text()
+    assert old in text
+    (folder / "suite.yaml").write_text(text.replace(old, new))
+
+
+def test_a_run_tracks_the_motion_of_its_suite_and_records_its_digest(folder):
+    report = api.run(str(folder / "suite.yaml"), out=folder / "run", workers=1)
+    (row,) = report.rows
+    assert dict(row.scores)["joint_error"] < 0.3, "it stands as the motion does"
+    said = report.info.suite["task"]["motion"]
+    assert said["file"] == "motions/stand.csv"
+    assert len(said["sha256"]) == 64
+
+
+def test_its_digest_names_the_trials_and_its_place_does_not(folder):
+    first = load_suite(folder / "suite.yaml").digest
+    (folder / "motions" / "stand.csv").rename(folder / "motions" / "still.csv")
+    changed(folder, "stand.csv", "still.csv")
+    assert load_suite(folder / "suite.yaml").digest == first
+    (folder / "motions" / "still.csv").write_text(f"{STANDING}\n" * 4)
+    assert load_suite(folder / "suite.yaml").digest != first
+
+
+def test_a_suite_that_names_no_motion_keeps_the_digest_that_it_had(folder):
+    changed(folder, ", motion: {file: motions/stand.csv, rate: 1}", "")
+    suite = load_suite(folder / "suite.yaml")
+    assert "motion" not in suite.model_dump()["task"]
+    with pytest.raises(SuiteError, match=r"suite.yaml:8:\d+: task: neither the suite nor the pol"):
+        api.plan(str(folder / "suite.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            "stand.csv",
+            "stnd.csv",
+            r"suite.yaml:8:\d+: task.motion.file: .*stnd.csv cannot be read: No such",
+        ),
+        (
+            "motions/stand.csv",
+            "motions",
+            r"suite.yaml:8:\d+: task.motion.file: the motion motions cannot be read",
+        ),
+        (
+            "rate: 1",
+            f"rate: 1, sha256: {'a' * 64}",
+            r"suite.yaml:8:\d+: task.motion.sha256: the SHA-256 of motions/stand.csv is [0-9a-f]+",
+        ),
+        ("rate: 1", "rate: 1, sha256: abc", r"suite.yaml:8:\d+: task.motion.sha256: "),
+        ("rate: 1", "rate: 0", r"suite.yaml:8:\d+: task.*rate: must be at least 1"),
+        ("rate: 1", "pace: 1", r"suite.yaml:8:\d+: unknown key 'pace'"),
+    ],
+)
+def test_what_is_wrong_with_it_is_said_at_its_place(old, new, said, folder):
+    changed(folder, old, new)
+    with pytest.raises((SuiteError, PolicyError), match=said):
+        load_suite(folder / "suite.yaml")
+
+
+def test_a_run_is_resumed_with_the_motion_that_it_began_with(folder):
+    out = folder / "run"
+    api.run(str(folder / "suite.yaml"), out=out, workers=1)
+    saved = yaml.safe_load((folder / "suite.yaml").read_text())
+    saved["trials"] = 2
+    (folder / "suite.yaml").write_text(yaml.safe_dump(saved))
+    report = api.run(str(folder / "suite.yaml"), resume=out, workers=1)
+    assert len(report.rows) == 2
