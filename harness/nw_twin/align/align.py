@@ -277,7 +277,8 @@ def _by_poses(
         answers.append(ScaleSource(name="poses", scale=1.0, sigma=_POSES, reason=reason))
     if positions is None or not positions.scale > 0:
         return answers
-    sigma, off = positions.uncertain, max(positions.off, options.positions_error)
+    sigma = math.hypot(positions.uncertain, 0.0 if options.positions_error else _POSES)
+    off = max(positions.off, options.positions_error)
     reason = (
         f"{plural(len(options.positions), 'shot')}, off by {off:.3g} m; scale known to {sigma:.1%}"
     )

@@ -1,6 +1,6 @@
 """Point clouds of scanners and phones, to meshes: a surface is drawn through the points.
 
-PLY files without faces, and LAS and LAZ. Points are thinned to an even spacing, get normals of one
+PLY files without faces, LAS, LAZ and E57. Points are thinned to an even spacing, get normals of one
 side, and a surface by Poisson's equation (Kazhdan and Hoppe, "Screened Poisson Surface
 Reconstruction", 2013), which is kept where points are near.
 """
@@ -22,10 +22,12 @@ from nw_scenes.limits import MESH_FACES
 from nw_scenes.mesh_file import PaintedMesh
 from nw_scenes.mesh_parts import Material
 from nw_twin.packages import package
+from nw_twin.scans.converted import PLY, SCANNER, converted
 
 Values = NDArray[np.float64]
 
 LAS_SUFFIXES = (".las", ".laz")
+CLOUD_SUFFIXES = (*LAS_SUFFIXES, ".e57")
 """Of files that hold point clouds alone; a PLY may hold one, too."""
 
 _MOST = 20_000_000
@@ -64,6 +66,7 @@ class Cloud:
         points: (N, 3) float64; finite.
         normals: (N, 3) of unit length; None = the file has none.
         colours: (N, 3) float64, 0 to 1; None = the file has none.
+        seen_from: (N, 3) where the scanner stood; None = the file does not say.
         unread: what of the file was not read, in words.
     """
 
@@ -71,6 +74,7 @@ class Cloud:
     normals: Values | None
     colours: Values | None
     unread: tuple[str, ...]
+    seen_from: Values | None = None
 
 
 def is_cloud(source: Path) -> bool:
@@ -79,7 +83,7 @@ def is_cloud(source: Path) -> bool:
     Raises:
         SceneError: a PLY cannot be read.
     """
-    if source.suffix.lower() in LAS_SUFFIXES:
+    if source.suffix.lower() in CLOUD_SUFFIXES:
         return True
     if source.suffix.lower() != ".ply" or not source.is_file():
         return False
@@ -96,18 +100,23 @@ def _names(ply: Ply) -> set[str]:
 
 
 def read_cloud(source: Path) -> Cloud:
-    """Read the points of a PLY, LAS or LAZ.
+    """Read the points of a PLY, LAS, LAZ or E57.
 
     Raises:
         SceneError: it is damaged, or has too few or too many points.
-        PrerequisiteError: the package that reads LAS is not installed.
+        PrerequisiteError: the package that reads LAS or E57 is not installed.
     """
     try:
         regular(source).stat()
     except (OSError, ValueError) as error:  # A path with a zero byte is a ValueError.
         reason = (isinstance(error, OSError) and error.strerror) or error
         raise SceneError(f"{source}: the points cannot be read: {reason}") from None
-    cloud = _read_las(source) if source.suffix.lower() in LAS_SUFFIXES else _read_ply(source)
+    if source.suffix.lower() == ".e57":
+        with converted(source) as (folder, _):
+            cloud = _read_ply(folder / PLY, source)
+    else:
+        is_las = source.suffix.lower() in LAS_SUFFIXES
+        cloud = _read_las(source) if is_las else _read_ply(source, source)
     whole = np.asarray(np.isfinite(cloud.points).all(axis=1))
     if (most := float(np.abs(cloud.points[whole]).max(initial=0.0))) > _FARTHEST:
         raise SceneError(
@@ -150,11 +159,15 @@ def read_cloud(source: Path) -> Cloud:
         points=cloud.points[whole],
         normals=None if cloud.normals is None else cloud.normals[whole],
         colours=None if cloud.colours is None else cloud.colours[whole],
+        seen_from=None if cloud.seen_from is None else cloud.seen_from[whole],
     )
 
 
-def _read_ply(source: Path) -> Cloud:
-    ply = Ply.open(source, most_rows={"vertex": _MOST})
+def _read_ply(path: Path, source: Path) -> Cloud:
+    try:
+        ply = Ply.open(path, most_rows={"vertex": _MOST})
+    except SceneError as error:
+        raise SceneError(error.message.replace(str(path), str(source)), fix=error.fix) from None
     table, names = ply.elements["vertex"], _names(ply)
 
     def columns(*wanted: str) -> Values | None:
@@ -163,14 +176,16 @@ def _read_ply(source: Path) -> Cloud:
         return np.stack([table[one].astype(np.float64) for one in wanted], axis=-1)
 
     points, shades = columns("x", "y", "z"), columns("red", "green", "blue")
-    assert points is not None, "is_cloud says so"
+    if points is None:
+        raise SceneError(f"{source}: no points are in it", fix="export it again, with its points")
     if shades is not None:
         shades = _shares(shades, is_byte=table.dtype["red"] == np.uint8)
-    known = {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha"}
+    known = {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha", *SCANNER}
     return Cloud(
         points=points,
         normals=columns("nx", "ny", "nz"),
         colours=shades,
+        seen_from=columns(*SCANNER),
         unread=tuple(sorted(names - known)),
     )
 
@@ -247,8 +262,11 @@ def surfaced(source: Path, up: str) -> tuple[PaintedMesh, list[str]]:
         )
     if cloud.normals is None:
         thinned.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_ROUND))
-        _to_one_side(thinned, o3d, source)
-        _to_the_open(thinned, o3d, up)
+        if cloud.seen_from is None:
+            _to_one_side(thinned, o3d, source)
+            _to_the_open(thinned, o3d, up)
+        else:
+            _to_the_scanner(thinned, o3d, cloud.points - middle, cloud.seen_from - middle)
     mesh = _poisson(thinned, spacing, o3d)
     vertices = np.asarray(mesh.vertices).astype(np.float64) + middle
     faces = np.asarray(mesh.triangles).astype(np.int64)
@@ -316,6 +334,15 @@ def _to_one_side(cloud: Any, o3d: Any, source: Path) -> None:
         cloud.normals = o3d.utility.Vector3dVector(np.tile(plane, (len(normals), 1)))
         return
     cloud.orient_normals_consistent_tangent_plane(_SIDE)
+
+
+def _to_the_scanner(cloud: Any, o3d: Any, points: Values, seen_from: Values) -> None:
+    """Turn each normal of a cloud to where the nearest of its points (N, 3) was seen from."""
+    middles, normals = np.asarray(cloud.points), np.asarray(cloud.normals)
+    nearest = package("scipy.spatial").cKDTree(points).query(middles)[1]
+    sense = np.einsum("ni,ni->n", normals, seen_from[nearest] - middles)
+    turned = normals * np.where(sense < 0.0, -1.0, 1.0)[:, None]
+    cloud.normals = o3d.utility.Vector3dVector(turned)
 
 
 def _to_the_open(cloud: Any, o3d: Any, up: str) -> None:

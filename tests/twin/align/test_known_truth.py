@@ -44,7 +44,8 @@ def test_stated_scales_hold_the_truth_also_where_a_source_lies(lies, count):
         except SceneError as error:
             stopped.append(str(error))
             continue
-        if alignment.scale_uncertain is not None:
+        # Where nothing else says anything a lie cannot be told.
+        if alignment.scale_uncertain is not None and len(alignment.scales) > lies:
             off.append(abs(scale_off(alignment, T)))
             said.append(alignment.scale_uncertain)
     assert all(text.count(" m a unit") >= 2 for text in stopped)  # Both are named.
