@@ -21,13 +21,15 @@ from nw_base.plural import plural
 from nw_scenes.limits import MESH_FACES
 from nw_scenes.mesh_file import PaintedMesh
 from nw_scenes.mesh_parts import Material
+from nw_twin.align.planes import find_planes
 from nw_twin.packages import package
-from nw_twin.scans.converted import PLY, SCANNER, converted
+from nw_twin.scans.converted import PLY, SCANNER, converted, named_as
+from nw_twin.scans.splat_points import SPLAT_SUFFIXES, points_of_splat
 
 Values = NDArray[np.float64]
 
 LAS_SUFFIXES = (".las", ".laz")
-CLOUD_SUFFIXES = (*LAS_SUFFIXES, ".e57")
+CLOUD_SUFFIXES = (*LAS_SUFFIXES, ".e57", *SPLAT_SUFFIXES)
 """Of files that hold point clouds alone; a PLY may hold one, too."""
 
 _MOST = 20_000_000
@@ -47,11 +49,17 @@ _SIDE = 12
 """Neighbours that are brought to one side."""
 _NEAR = 3.0
 """Spacings from a point up to which the surface is kept: a hole twice as wide is closed."""
+_COMPANY, _FLOATS = 8, 3.0
+"""Of a splat, a point floats that has fewer neighbours within so many spacings."""
+_CRUMB = 0.01
+"""Of a splat, pieces of the surface that have fewer triangles of the largest one's are left out."""
 _DEEPEST = 11
 _STEEP = 0.94
 """Cosine of the angle to an axis up to which a normal looks along it."""
-_OVER = 1.5
-"""Times as many points of the usual axis that must lie in planes across another one."""
+_FLAT = 0.01
+"""Of the extent, how far off a plane a point of it lies."""
+_TOLD = 0.02
+"""Share of the points by which more of them tell one side from the other, for it to be told."""
 _LOW = 0.3
 """Share of the level points, from below, that are ground."""
 _LESS = 400_000
@@ -78,7 +86,7 @@ class Cloud:
 
 
 def is_cloud(source: Path) -> bool:
-    """Whether a file holds points and no faces; a PLY of Gaussians is a splat, and none.
+    """Whether a file holds points and no faces; Gaussians, too, have points on their surfaces.
 
     Raises:
         SceneError: a PLY cannot be read.
@@ -88,10 +96,15 @@ def is_cloud(source: Path) -> bool:
     if source.suffix.lower() != ".ply" or not source.is_file():
         return False
     ply = Ply.open(source)
-    names = _names(ply)
     has_faces = any(len(ply.elements.get(one, ())) for one in ("face", "tristrips"))
-    is_splat = bool({"f_dc_0", "packed_position"} & names)
-    return {"x", "y", "z"} <= names and not has_faces and not is_splat
+    return is_splat(source) or ({"x", "y", "z"} <= _names(ply) and not has_faces)
+
+
+def is_splat(source: Path) -> bool:
+    """Whether a file holds Gaussians."""
+    if source.suffix.lower() != ".ply":
+        return source.suffix.lower() in SPLAT_SUFFIXES
+    return bool({"f_dc_0", "packed_position"} & _names(Ply.open(source)))
 
 
 def _names(ply: Ply) -> set[str]:
@@ -100,7 +113,7 @@ def _names(ply: Ply) -> set[str]:
 
 
 def read_cloud(source: Path) -> Cloud:
-    """Read the points of a PLY, LAS, LAZ or E57.
+    """Read the points of a PLY, LAS, LAZ or E57, or points on the surfaces of a splat.
 
     Raises:
         SceneError: it is damaged, or has too few or too many points.
@@ -112,11 +125,14 @@ def read_cloud(source: Path) -> Cloud:
         reason = (isinstance(error, OSError) and error.strerror) or error
         raise SceneError(f"{source}: the points cannot be read: {reason}") from None
     if source.suffix.lower() == ".e57":
-        with converted(source) as (folder, _):
-            cloud = _read_ply(folder / PLY, source)
+        with converted(source) as (folder, _), named_as(source, folder / PLY):
+            cloud = _read_ply(folder / PLY)
+    elif is_splat(source):
+        points, colours, left = points_of_splat(source)
+        cloud = Cloud(points=points, normals=None, colours=colours, unread=tuple(left))
     else:
         is_las = source.suffix.lower() in LAS_SUFFIXES
-        cloud = _read_las(source) if is_las else _read_ply(source, source)
+        cloud = _read_las(source) if is_las else _read_ply(source)
     whole = np.asarray(np.isfinite(cloud.points).all(axis=1))
     if (most := float(np.abs(cloud.points[whole]).max(initial=0.0))) > _FARTHEST:
         raise SceneError(
@@ -163,11 +179,8 @@ def read_cloud(source: Path) -> Cloud:
     )
 
 
-def _read_ply(path: Path, source: Path) -> Cloud:
-    try:
-        ply = Ply.open(path, most_rows={"vertex": _MOST})
-    except SceneError as error:
-        raise SceneError(error.message.replace(str(path), str(source)), fix=error.fix) from None
+def _read_ply(source: Path) -> Cloud:
+    ply = Ply.open(source, most_rows={"vertex": _MOST})
     table, names = ply.elements["vertex"], _names(ply)
 
     def columns(*wanted: str) -> Values | None:
@@ -237,8 +250,7 @@ def surfaced(source: Path, up: str) -> tuple[PaintedMesh, list[str]]:
 
     Args:
         source: a file that `is_cloud`.
-        up: axis of the file that is up, such as `+z`, or `auto`: then the one that most level
-            surfaces lie across, and +z in doubt.
+        up: axis of the file that is up, such as `+z`; `auto` = it is not known.
 
     Raises:
         SceneError: it is damaged, or no surface can be drawn through it.
@@ -260,6 +272,8 @@ def surfaced(source: Path, up: str) -> tuple[PaintedMesh, list[str]]:
             f"{source}: its {len(cloud.points):,} points lie in {places}: too few for a surface",
             fix="export it denser, or as a mesh",
         )
+    if is_splat(source):
+        thinned = thinned.remove_radius_outlier(_COMPANY, _FLOATS * spacing)[0]
     if cloud.normals is None:
         thinned.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_ROUND))
         if cloud.seen_from is None:
@@ -268,6 +282,8 @@ def surfaced(source: Path, up: str) -> tuple[PaintedMesh, list[str]]:
         else:
             _to_the_scanner(thinned, o3d, cloud.points - middle, cloud.seen_from - middle)
     mesh = _poisson(thinned, spacing, o3d)
+    if is_splat(source):
+        _without_crumbs(mesh)
     vertices = np.asarray(mesh.vertices).astype(np.float64) + middle
     faces = np.asarray(mesh.triangles).astype(np.int64)
     corners = vertices[faces]
@@ -346,21 +362,30 @@ def _to_the_scanner(cloud: Any, o3d: Any, points: Values, seen_from: Values) -> 
 
 
 def _to_the_open(cloud: Any, o3d: Any, up: str) -> None:
-    """Turn all normals over if the ground's point down: the lowest level points are ground."""
+    """Turn all normals over if they look into what is solid.
+
+    Nearly all of a scan lies on the open side of its floors and walls. Where it is as flat as its
+    largest plane, or somebody says what is up, that is up.
+    """
     normals, points = np.asarray(cloud.normals), np.asarray(cloud.points)
+    sense = 0.0
     if up == "auto":
-        along = (np.abs(normals) >= _STEEP).mean(axis=0)
-        best = int(np.argmax(along))
-        axis = best if along[best] > _OVER * along[2] else 2
-        sign = 1.0
-    else:
-        axis, sign = "xyz".index(up[1]), 1.0 if up[0] == "+" else -1.0
-    level = np.abs(normals[:, axis]) >= _STEEP
-    if not level.any():
-        return
-    heights = sign * points[level, axis]
-    low = heights <= np.quantile(heights, _LOW)
-    if float(np.sign(sign * normals[level, axis])[low].sum()) < 0.0:
+        tolerance = _FLAT * float(np.linalg.norm(points.std(axis=0)))
+        for plane in find_planes(points, tolerance, np.random.default_rng(0)):
+            away = plane.distances(points)
+            facing = (normals @ plane.normal)[np.abs(away) <= tolerance]
+            along = np.sign(facing[np.abs(facing) >= _STEEP])
+            open_side = float((away > 3.0 * tolerance).mean() - (away < -3.0 * tolerance).mean())
+            sense += open_side * float(along.sum())
+    if abs(sense) < _TOLD * len(points):
+        axis, sign = (
+            ("xyz".index(up[-1]), -1.0 if up[0] == "-" else 1.0) if up != "auto" else (2, 1.0)
+        )
+        level = np.abs(normals[:, axis]) >= _STEEP
+        heights = sign * points[level, axis]
+        low = heights <= np.quantile(heights, _LOW) if level.any() else level[level]
+        sense = float(np.sign(sign * normals[level, axis])[low].sum())
+    if sense < 0.0:
         cloud.normals = o3d.utility.Vector3dVector(-normals)
 
 
@@ -381,3 +406,11 @@ def _poisson(cloud: Any, spacing: float, o3d: Any) -> Any:
         mesh = mesh.simplify_quadric_decimation(most)
     mesh.remove_duplicated_vertices().remove_duplicated_triangles()
     return mesh.remove_degenerate_triangles().remove_unreferenced_vertices()
+
+
+def _without_crumbs(mesh: Any) -> None:
+    """Remove what floats apart from all else, and is small."""
+    number, counts, _ = mesh.cluster_connected_triangles()
+    counts = np.asarray(counts)
+    mesh.remove_triangles_by_mask(counts[np.asarray(number)] < _CRUMB * counts.max())
+    mesh.remove_unreferenced_vertices()

@@ -41,7 +41,7 @@ from nw_twin.course import HALF_WIDTH
 from nw_twin.place import SUITE, Route, check_scene_name, moved_points
 from nw_twin.scans.converted import USD_SUFFIXES, read_stage
 from nw_twin.scans.looks import write_looks
-from nw_twin.scans.points import CLOUD_SUFFIXES, is_cloud, surfaced
+from nw_twin.scans.points import CLOUD_SUFFIXES, is_cloud, is_splat, surfaced
 from nw_twin.walkable import Walkable, walkable
 
 Values = NDArray[np.float64]
@@ -89,7 +89,7 @@ class ScanOptions:
         up: which axis of the file is up; `auto` is by all cues together: what the format says, the
             mesh's planes, and how it lies.
         splat: Gaussians of the same scene, such as the same app exports; None = they are made of
-            the mesh's colours, if it has some.
+            the mesh's colours, if it has some. A splat that is imported alone shows itself.
         splat_transform: a text file of 16 numbers, the 4 x 4 matrix from the splat's numbers to
             the mesh's; None = it is found among the turns by right angles.
         gaussians: most that are made of a mesh's colours.
@@ -141,8 +141,8 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
     """Write the scene folder of a scan, and a suite beside it; whole or not at all.
 
     Args:
-        source: a mesh (GLB, USDZ, OBJ, PLY, STL), a point cloud (PLY, LAS, LAZ, E57), or an
-            elevation map (PNG, GeoTIFF).
+        source: a mesh (GLB, USDZ, OBJ, PLY, STL), a point cloud (PLY, LAS, LAZ, E57), a splat
+            (PLY, SPZ, SOG), or an elevation map (PNG, GeoTIFF).
         out: the folder, which must not be there.
         options: how it is to be understood.
 
@@ -190,7 +190,7 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
             text,
             scan.painted,
             T,
-            splat=options.splat,
+            splat=source if scan.is_splat else options.splat,
             splat_transform=options.splat_transform,
             most=options.gaussians,
             way=np.vstack([course.spawn, course.trail]),
@@ -222,6 +222,8 @@ class _Scan:
     """(4, 4), but for the height of the floor."""
     fault: str | None
     """What contradicts about which way is up."""
+    is_splat: bool = False
+    """Whether its file holds Gaussians, which are its looks then."""
 
 
 _SURFACES = (*MESH_SUFFIXES, *USD_SUFFIXES, *CLOUD_SUFFIXES)
@@ -259,7 +261,7 @@ def _check_used(source: Path, options: ScanOptions) -> None:
 def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
     suffix = source.suffix.lower()
     lines: list[str] = []
-    fault = None
+    fault, axes = None, suffix
     if suffix in ELEVATION_SUFFIXES:
         elevation = read_elevation(
             source,
@@ -289,7 +291,6 @@ def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
         )
         T_file = np.eye(4)
     elif suffix in _SURFACES:
-        axes = suffix
         if suffix in USD_SUFFIXES:
             painted, up, drawn = read_stage(source)
             axes = ".glb" if up == "+y" else ".las"
@@ -297,6 +298,12 @@ def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
         elif is_cloud(source):
             painted, drawn = surfaced(source, options.up)
             lines += drawn
+            if is_splat(source):
+                axes = ".splat"
+                lines.append(
+                    "a splat alone: most are trained in a unit of their own, so compare the size "
+                    "above with a length that you know; two clicks in `nw-eval twin label` scale it"
+                )
         else:
             painted = read_painted(source)
         lines += [f"{one.message}" for one in painted.findings]
@@ -325,7 +332,7 @@ def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
     if wide > _ODDLY_WIDE:
         unit = _unit(painted, options)
         lines.append(f"it is {wide:.0f} m wide: if its numbers are no {unit}, give --unit")
-    return _Scan(painted=painted, T_world_file=T, fault=fault), lines
+    return _Scan(painted=painted, T_world_file=T, fault=fault, is_splat=axes == ".splat"), lines
 
 
 def shifted(offset: Values) -> Values:

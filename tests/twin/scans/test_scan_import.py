@@ -314,7 +314,7 @@ def test_what_cannot_be_is_refused_by_name_and_nothing_is_left(tmp_path):
         ("scan.ply", "new", {"trail": ((0.0, 0.0),)}, "--trail has 1 points"),
         ("scan.ply", "new", {"trail": ((0.0, 0.0), (9.0, 0.0))}, "waypoint 0 at .* no ground"),
         ("scan.ply", "new", {"name": "a b"}, "name 'a b'"),
-        ("scan.usdz", "new", {}, "no format that is read here"),
+        ("scan.xyz", "new", {}, "no format that is read here"),
     ):
         with pytest.raises((SceneError, UsageError), match=why):
             import_scan(tmp_path / source, tmp_path / out, ScanOptions(**options))
