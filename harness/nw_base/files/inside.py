@@ -96,7 +96,7 @@ def what_is(path: Path) -> Literal["file", "folder", "nothing"]:
 _UNPACK = "unpack it, and give what is in it"
 _MESH = "convert it to .glb, .obj, .ply or .stl, with Blender or CloudCompare"
 _STAGE = "give it as .usdz, .usdc or .usda to `nw-eval scenes import`"
-_CLOUD = "give its points as .las, .e57 or .ply to `nw-eval scenes import`, or export a mesh from the app"
+_CLOUD = "give its points as .las, .e57 or .ply to `nw-eval scenes import`, or export a mesh"
 _MARKS: tuple[tuple[bytes, str, str], ...] = (
     (b"version https://git-lfs", "a Git LFS pointer, not the file itself", "run `git lfs pull`"),
     (b"\x1f\x8b", "compressed with gzip", "unpack it with `gunzip`"),

@@ -80,7 +80,11 @@ def converted(source: Path) -> Generator[tuple[Path, dict[str, Any]]]:
             raise
         except PolicyError as error:  # In its words it opens a checkpoint.
             what = "a USD stage" if is_usd else "an E57 point cloud"
-            reason = error.message.removeprefix(f"{source}: ").replace("the checkpoint", "it")
+            reason = (
+                error.message.removeprefix(f"{source}: ")
+                .replace("the checkpoint", "it")
+                .rstrip(": ")
+            )
             raise SceneError(
                 f"{source}: it cannot be read as {what}: {reason}",
                 fix="export it again, or in another format: .glb, .obj, .ply, .las",
@@ -340,6 +344,11 @@ def read_stage(source: Path) -> tuple[PaintedMesh, str, list[str]]:
         f"the stage says: {said['up']} is up, one unit is {said['metres']:g} m"
         + (f", made by {said['creator']}" if said["creator"] else "")
     ]
+    if said["is_roomplan"]:
+        lines.append(
+            "made by RoomPlan as boxes: doors are closed, and furniture is coarse; its export as a "
+            "mesh has more"
+        )
     if said["unread"]:
         parts = ", ".join(plural(n, kind) for kind, n in sorted(said["unread"].items()))
         lines.append(f"not read of the stage: {parts}")

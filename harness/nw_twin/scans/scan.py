@@ -192,6 +192,7 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
             T,
             splat=source if scan.is_splat else options.splat,
             splat_transform=options.splat_transform,
+            is_own=scan.is_splat,
             most=options.gaussians,
             way=np.vstack([course.spawn, course.trail]),
         )

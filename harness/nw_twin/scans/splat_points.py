@@ -24,7 +24,9 @@ SPLAT_SUFFIXES = (".spz", ".sog", ".splat")
 _LEAST_OPACITY = 0.2
 _LARGEST = 8.0
 """Times the usual size from which on a Gaussian is no surface near by."""
-_POINTS = 400_000
+_POINTS, _EACH = 300_000, 6
+"""Points at most, and for each Gaussian."""
+_R3 = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
 _WIDE = 1.0
 """Standard deviations from a Gaussian's middle within which its points are."""
 
@@ -53,24 +55,27 @@ def points_of_splat(source: Path) -> tuple[Values, Values, list[str]]:
     shares = (opacity * np.minimum(middle * large, usual**2))[kept]
     # Each Gaussian in turn has its share of evenly spaced numbers.
     ends = np.cumsum(shares) / shares.sum()
-    number = (np.arange(_POINTS) + 0.5) / _POINTS
+    count = min(_POINTS, _EACH * len(kept))
+    number = (np.arange(count) + 0.5) / count
     of = kept[np.minimum(np.searchsorted(ends, number), len(kept) - 1)]
-    # The R2 sequence (Roberts 2018) spreads points evenly over each disc.
-    place = np.arange(_POINTS)
-    radius = _WIDE * np.sqrt((0.5 + place * 0.7548776662466927) % 1.0)
-    turn = 2.0 * np.pi * ((0.5 + place * 0.5698402909980532) % 1.0)
+    # The R3 sequence (Roberts 2018) spreads points evenly over each disc, and through it: what
+    # lies in a plane to the last digit has no volume, in which neighbours are looked for.
+    place = np.arange(count)
+    radius, turn, through = ((0.5 + place[:, None] * _R3) % 1.0).T
+    radius, turn = _WIDE * np.sqrt(radius), 2.0 * np.pi * turn
     axes = _axes(gaussians.quats[of])
     first = axes[place, :, order[of, 2]] * (large[of] * radius * np.cos(turn))[:, None]
     second = axes[place, :, order[of, 1]] * (middle[of] * radius * np.sin(turn))[:, None]
-    points = gaussians.means[of].astype(np.float64) + first + second
+    third = axes[place, :, order[of, 0]] * (scales[of, order[of, 0]] * (through - 0.5))[:, None]
+    points = gaussians.means[of].astype(np.float64) + first + second + third
     colours = np.clip(0.5 + SH0 * gaussians.sh[of, 0].astype(np.float64), 0.0, 1.0)
     left = [
-        plural(count, "Gaussian") + why
-        for count, why in (
+        plural(n, "Gaussian") + why
+        for n, why in (
             (int((~solid).sum()), f" of an opacity below {_LEAST_OPACITY:g}"),
             (int((solid & ~near).sum()), f" over {_LARGEST:g} times as large as usual"),
         )
-        if count
+        if n
     ]
     return points, colours, left
 

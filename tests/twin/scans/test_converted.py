@@ -122,6 +122,18 @@ def test_a_stage_reaches_no_file_but_itself(tmp_path):
         read_stage(tmp_path / "thief.usda")
 
 
+def test_boxes_of_roomplan_are_named(tmp_path):
+    pytest.importorskip("pxr")
+    (tmp_path / "Room.usda").write_text(
+        '#usda 1.0\n(\n    upAxis = "Y"\n    metersPerUnit = 1\n)\n'
+        'def Xform "Room"\n{\n def Xform "Parametric_grp"\n {\n'
+        '  def Cube "Wall0"\n  {\n   double size = 2\n  }\n }\n}\n'
+    )
+    painted, up, lines = read_stage(tmp_path / "Room.usda")
+    assert (len(painted.faces), up) == (12, "+y")
+    assert any("made by RoomPlan as boxes: doors are closed" in line for line in lines)
+
+
 def test_a_package_that_is_missing_is_named(tmp_path, monkeypatch):
     def missing(name):
         raise PrerequisiteError(f"a twin needs the package {name}", fix="pip install it")
