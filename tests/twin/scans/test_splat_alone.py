@@ -35,7 +35,9 @@ def yard(folder, rng, *, axes=UPRIGHT):
     mesh.apply_transform(np.block([[axes, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]]))
     mesh.export(folder / "yard.ply")
     solid, *_ = painted_gaussians(read_painted(folder / "yard.ply"), most=9_000)
-    solid = solid.take(rng.permutation(len(solid)))
+    x, y, z = (solid.means @ axes).T
+    seen = (np.abs(x - 2.5) > 0.4) | (np.abs(y - 0.6) > 0.5) | (z > 0.05)  # Not below the block.
+    solid = solid.take(rng.permutation(np.flatnonzero(seen)))
     away = rng.normal(size=(300, 3))
     away *= 60.0 / np.linalg.norm(away, axis=1, keepdims=True)
     sky = gaussians_at(away, np.ones((300, 3)), None, sh_degree=0, opacity=0.9, size=0.5)
