@@ -51,8 +51,8 @@ _HEIGHTS_FIRST = 0.05  # m; beyond it other edges are in view, and tell nothing 
 _AGREED = 0.05  # m, within which half of what moved as one lies
 
 # Measured on the built-in places: what is near is covered to 0.98 in the worst view; a splat that
-# lies where it should seems up to 0.08 m off; half of a course is within 0.035 m of its splat, and
-# 95 % within 0.112 m. One that is moved by 0.2 m seems 0.12 m off, or more.
+# lies where it should seems up to 0.04 m off; half of a course is within 0.012 m of its splat, and
+# 95 % within 0.103 m. One that is moved by 0.2 m seems 0.12 m off, or more.
 
 LEAST_COVERED = 0.9
 """Share of what is near that the splat should cover."""
