@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from nw_base.confinement import offered
 from nw_base.errors import PrerequisiteError, SceneError
 from nw_scenes.folder import load_folder
 from nw_scenes.rays import RayScene
@@ -112,6 +113,7 @@ def test_a_stage_that_is_none_or_has_no_sensible_unit_is_an_error(tmp_path):
         read_stage(tiny)
 
 
+@pytest.mark.skipif(not offered().landlock, reason="this kernel has no Landlock")
 def test_a_stage_reaches_no_file_but_itself(tmp_path):
     pytest.importorskip("pxr")
     stage(tmp_path / "secret.usdz")
