@@ -516,7 +516,7 @@ def _training(capture: Capture, settings: BuildSettings) -> tuple[float, float]:
     least, each, pixel = _STEP_S
     pixels = _pixels(capture, options.longest) * (1.0 - 0.75 * COARSE)
     step = least + each * options.most / 2 + pixel * pixels
-    return options.iterations * step, 0.4e9 + options.most * _GAUSSIAN_BYTES
+    return options.steps(len(capture.shots)) * step, 0.4e9 + options.most * _GAUSSIAN_BYTES
 
 
 def _pixels(capture: Capture, longest: int) -> float:
