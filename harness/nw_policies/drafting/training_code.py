@@ -172,7 +172,9 @@ def read_training_code(
             if (each := _read(task, classes, robot, size, saved)) is not None
         ]
     except (RecursionError, MemoryError):
-        return ExporterMetadata(notes=("the code of the training is nested too deep to be read",))
+        return ExporterMetadata(
+            notes=("the code of the training is nested too deep, or too large, to be read",)
+        )
     if not fits:
         return None
     best = max(score for score, _ in fits)

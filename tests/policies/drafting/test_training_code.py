@@ -291,6 +291,15 @@ def test_odd_code_is_no_fault_of_the_draft(odd, card_of):
     assert "Traceback" not in text
 
 
+def test_a_register_that_is_too_large_to_be_one_is_not_read(card_of, tmp_path):
+    register = tmp_path / "repo" / "sim" / "envs" / "__init__.py"
+    register.parent.mkdir(parents=True)
+    with register.open("wb") as file:
+        file.truncate(2**40)
+    text, _ = card_of(270, {"../../setup.py": ""}, name=CHECKPOINT)
+    assert "whose code was read" not in text
+
+
 def test_a_frame_of_nothing_is_no_fault_of_the_draft(card_of):
     empty = ENVIRONMENT.replace("self.projected_gravity,", "torch.cat(())[:, :3],")
     text, _ = card_of(270, beside(go2_env=empty), name=CHECKPOINT)
