@@ -123,8 +123,7 @@ def _code(folder: Path) -> list[tuple[str, Path]]:
     ends = [up for up, place in enumerate(places) if any((place / n).exists() for n in _OF_ROOT)]
     for up, place in enumerate(places[: ends[0] + 1] if ends else ()):
         for envs in (place / "envs", *sorted(place.glob("*/envs"))):
-            register = envs / "__init__.py"
-            if what_is(register) == "file" and b".register(" in register.read_bytes():
+            if ".register(" in _texts([("", envs / "__init__.py")], 1).get("", ""):
                 return [
                     (f"{'../' * up}{path.relative_to(place).as_posix()}", path)
                     for path in sorted(envs.rglob("*.py"))

@@ -20,12 +20,15 @@ OBSERVES = "compute_observations"
 """The method that joins what a policy sees."""
 _MOST = 200
 """Terms of a row."""
+_NEAR = 1e-3
+"""m by which a point of a grid may be off."""
 _PERIODS = ("cycle_time", "period", "gait_period")
 _SAME = frozenset(
-    {"clone", "unsqueeze", "squeeze", "view", "reshape", "flatten", "detach", "float", "to", "clip"}
-    | {"clamp", "contiguous"}
+    {"clone", "unsqueeze", "squeeze", "view", "reshape", "flatten", "detach", "float", "to"}
+    | {"contiguous"}
 )
 """Methods and functions behind which a term has the same numbers."""
+_LIMITS = frozenset({"clip", "clamp"})
 _NOISE = re.compile(r"noise|rand|bias|offset|lag|latency", re.IGNORECASE)
 _PAST = "the frames before"
 _OF_ROBOT = {
@@ -115,8 +118,11 @@ class _Reading:
                 case ast.AnnAssign(target=target, value=ast.expr() as value):
                     self._hold(target, value)
                 case ast.If(test=test, body=body, orelse=other):
-                    is_drawn = _NOISE.search(ast.unparse(test)) is not None
-                    self.follow(body if self._is_true(test) and not is_drawn else other)
+                    self.follow(body if self._is_true(test) and not _is_noise(test) else other)
+                case ast.AugAssign(target=target, op=ast.Add(), value=value) if _is_noise(value):
+                    pass
+                case ast.AugAssign(target=target):
+                    self._forget(target, line)
                 case ast.Expr(
                     value=ast.Call(func=ast.Attribute(value=kept, attr="append"), args=[frame])
                 ):
@@ -127,6 +133,15 @@ class _Reading:
     def _hold(self, target: ast.expr, value: ast.expr) -> None:
         if isinstance(target, ast.Name | ast.Attribute):
             self.held[ast.unparse(target)] = self.row(value)
+        else:
+            self._forget(target, value)
+
+    def _forget(self, target: ast.expr, line: ast.AST) -> None:
+        """Take what a line changes a part of, or computes with, for one term that is unknown."""
+        while isinstance(target, ast.Subscript):
+            target = target.value
+        if (name := ast.unparse(target)) in self.held:
+            self.held[name] = (_unknown(ast.unparse(line)),)
 
     def _is_true(self, test: ast.expr) -> bool:
         """Whether the settings say that a branch is taken."""
@@ -152,8 +167,6 @@ class _Reading:
         match node:
             case ast.Attribute(value=ast.Name(id="self"), attr=name) if name in _OF_ROBOT:
                 return (self._of_robot(name),)
-            case ast.Attribute(value=ast.Name(id="self"), attr="measured_heights"):
-                return (self._heights(),)
             case ast.Call():
                 found = self._called(node)
             case ast.BinOp():
@@ -162,7 +175,7 @@ class _Reading:
                 found = self._part(base, part)
             case _:
                 found = None
-        return (ExportedTerm(name=text[:80]),) if found is None else found
+        return (_unknown(text),) if found is None else found
 
     def _of_robot(self, name: str) -> ExportedTerm:
         own, width, keys = _OF_ROBOT[name]
@@ -170,41 +183,92 @@ class _Reading:
             name=name, own=own, width=width or self.about.joints, keys=keys, scale=(1.0,)
         )
 
-    def _heights(self) -> ExportedTerm:
-        """Return the scan, whose points follow one another along y."""
+    def _heights(self, above: ast.expr) -> Row | None:
+        """Return the scan of what is `above` less the heights, whose points follow along y."""
         terrain = constant(_path("self.cfg.terrain"), self.names)
         axes = [
             terrain.get(f"measured_points_{axis}") if isinstance(terrain, dict) else None
             for axis in "xy"
         ]
-        if not all(isinstance(axis, list) and axis for axis in axes):
-            return ExportedTerm(name="measured_heights")
+        offset: Any = 0
+        match above:
+            case ast.BinOp(left=left, op=ast.Sub() | ast.Add() as op, right=right):
+                above, offset = left, constant(right, self.names)
+                offset = -offset if is_number(offset) and isinstance(op, ast.Sub) else offset
+            case _:
+                pass
+        is_of_trunk = "[:, 2]" in ast.unparse(above) and not isinstance(above, ast.BinOp)
+        if not is_of_trunk or not is_number(offset) or not all(map(_is_even, axes)):
+            return None
         x, y = ((axis[0], axis[-1], len(axis)) for axis in cast("list[list[float]]", axes))
-        grid = HeightGrid(x=x, y=y, order="y_fastest", offset=-0.5, body="")
-        return ExportedTerm(
-            name="measured_heights", width=x[2] * y[2], grid=grid, clip=(-1.0, 1.0), scale=(1.0,)
-        )
+        grid = HeightGrid(x=x, y=y, order="y_fastest", offset=float(offset), body="")
+        name, width = "measured_heights", x[2] * y[2]
+        return (ExportedTerm(name=name, width=width, grid=grid, scale=(1.0,)),)
 
     def _called(self, node: ast.Call) -> Row | None:
         name = node.func.attr if isinstance(node.func, ast.Attribute) else ""
         if name in {"cat", "concat", "concatenate", "hstack", "stack"} and node.args:
             items = node.args[0]
             if isinstance(items, ast.ListComp):  # The frames that a list keeps.
-                inner = items.elt
-                return self.held.get(ast.unparse(getattr(inner, "value", inner)))
+                return self._kept(items)
             if isinstance(items, ast.Tuple | ast.List):
                 row = [term for item in items.elts for term in self.row(item)]
                 return tuple(row) if len(row) <= _MOST else None
             return None
         if name in {"sin", "cos"} and node.args:
             return self._clock(node.args[0], "sine" if name == "sin" else "cosine")
-        if name in _SAME and isinstance(node.func, ast.Attribute):
+        if name in _SAME | _LIMITS and isinstance(node.func, ast.Attribute):
             is_function = isinstance(node.func.value, ast.Name) and node.func.value.id == "torch"
-            return self.row(node.args[0] if is_function else node.func.value)
+            if not is_function:
+                args = [node.func.value, *node.args]
+            elif not (args := node.args):
+                return None
+            row = self.row(args[0])
+            return self._limited(row, args[1:], node.keywords) if name in _LIMITS else row
         return None
 
+    def _limited(
+        self, row: Row, limits: Sequence[ast.expr], keywords: Sequence[ast.keyword]
+    ) -> Row | None:
+        """Return terms within limits, which a card has before the factor; of one term alone.
+
+        A whole row is limited as the settings say, with `clip_observations`.
+        """
+        if len(row) != 1:
+            return row
+        named = {each.arg: each.value for each in keywords}
+        ends = [*limits, *(named[key] for key in ("min", "max") if key in named)]
+        low, high = [constant(end, self.names) for end in ends] if len(ends) == 2 else [UNKNOWN] * 2
+        term, factors = row[0], set(row[0].scale or ())
+        factor = factors.pop() if len(factors) == 1 else 0.0
+        if not is_number(low) or not is_number(high) or factor <= 0.0 or term.clip is not None:
+            return None
+        return (replace(term, clip=(low / factor, high / factor)),)
+
+    def _kept(self, frames: ast.ListComp) -> Row | None:
+        """Return a frame of `[kept[i] for i in range(n)]` or of `[each for each in kept]`."""
+        match frames:
+            case ast.ListComp(
+                elt=ast.Subscript(value=kept, slice=ast.Name(id=index)),
+                generators=[
+                    ast.comprehension(
+                        target=ast.Name(id=number),
+                        iter=ast.Call(func=ast.Name(id="range"), args=[_]),
+                        ifs=[],
+                    )
+                ],
+            ) if index == number:
+                return self.held.get(ast.unparse(kept))
+            case ast.ListComp(
+                elt=ast.Name(id=name),
+                generators=[ast.comprehension(target=ast.Name(id=each), iter=kept, ifs=[])],
+            ) if name == each:
+                return self.held.get(ast.unparse(kept))
+            case _:  # Another order, or some of them.
+                return None
+
     def _clock(self, angle: ast.expr, value: str) -> Row | None:
-        if self.period is None or "phase" not in ast.unparse(angle):
+        if self.period is None or not _is_turn(angle):
             return None
         keys = f"frequency: {1 / self.period:g}, values: [{value}]"
         return (ExportedTerm(name=value, own="clock", width=1, keys=keys, scale=(1.0,)),)
@@ -228,9 +292,9 @@ class _Reading:
                 right
             ):
                 return (replace(self._of_robot("dof_pos"), keys=""),)
-            case ast.Sub() if "measured_heights" in ast.unparse(right):
-                return self.row(right)
-            case ast.Add() if _NOISE.search(ast.unparse(right)):
+            case ast.Sub() if ast.unparse(right) == "self.measured_heights":
+                return self._heights(left)
+            case ast.Add() if _is_noise(right):
                 return self.row(left)
             case _:
                 return None
@@ -253,14 +317,51 @@ class _Reading:
         high = UNKNOWN if last.upper is None else constant(last.upper, self.names)
         if last.upper is None and low == 0:
             return row
-        if row[0].own == "roll_pitch+yaw" and (low, high) == (0, 2):
+        if row and row[0].own == "roll_pitch+yaw" and (low, high) == (0, 2):
             return (replace(row[0], own="roll_pitch", width=2),)
+        if low != 0:
+            return None
         kept: list[ExportedTerm] = []
         for term in row:
-            if low == 0 and sum(each.width or 0 for each in kept) == high:
+            if sum(each.width or 0 for each in kept) == high:
                 break
             kept.append(term)
         return tuple(kept) if sum(each.width or 0 for each in kept) == high else None
+
+
+def _unknown(text: str) -> ExportedTerm:
+    return ExportedTerm(name=text[:80])
+
+
+def _is_even(axis: Any) -> bool:
+    """Whether numbers are those of an axis, each as far from the one before."""
+    if not isinstance(axis, list) or not axis or not all(map(is_number, cast("list[Any]", axis))):
+        return False
+    points = cast("list[float]", axis)
+    step = (points[-1] - points[0]) / max(1, len(points) - 1)
+    return all(abs(points[0] + i * step - point) < _NEAR for i, point in enumerate(points))
+
+
+def _is_noise(node: ast.expr) -> bool:
+    return _NOISE.search(ast.unparse(node)) is not None
+
+
+def _is_turn(angle: ast.expr) -> bool:
+    """Whether an angle is 2 pi times a phase, in any order."""
+    factors, words = [angle], list[str]()
+    while factors:
+        match factors.pop():
+            case ast.BinOp(left=left, op=ast.Mult(), right=right):
+                factors += [left, right]
+            case ast.Constant(value=2 | 2.0):
+                words.append("2")
+            case ast.Attribute(attr="pi"):
+                words.append("pi")
+            case ast.BinOp():
+                return False
+            case other:
+                words.append("phase" if "phase" in ast.unparse(other) else "")
+    return sorted(words) == ["2", "phase", "pi"]
 
 
 def _path(text: str) -> ast.expr:
@@ -290,17 +391,19 @@ def seen_terms(environment: Environment) -> Row:
     total = own.get("num_observations", UNKNOWN)
     if not frame or len(unknown) == len(frame) or not is_number(total):
         return ()
-    single = next(
-        (own[key] for key in ("num_single_obs", "num_one_step_observations") if key in own), total
-    )
-    left = int(single) - sum(term.width or 0 for term in frame)
-    if len(unknown) > 1 or left < 0 or (not unknown and left):
+    frames = [own[key] for key in ("num_single_obs", "num_one_step_observations") if key in own]
+    known = sum(term.width or 0 for term in frame)
+    for single in (*frames, total):
+        if not is_number(single) or single < 1 or total % single or total > 100 * single:
+            continue
+        left = int(single) - known
+        if left == 0 if not unknown else len(unknown) == 1 and left > 0:
+            break
+    else:
         return ()
     if unknown:
         frame[unknown[0]] = replace(frame[unknown[0]], width=left)
-    steps, rest = divmod(int(total), int(single) or 1)
-    if rest or not 1 <= steps <= 100:
-        return ()
+    steps = int(total / single)
     form = f"order: {'newest_first' if newest_first else 'oldest_first'}, by: step"
     clip = (float("-inf"), float("inf"))
     return tuple(replace(term, history=steps, form=form, clip=term.clip or clip) for term in frame)

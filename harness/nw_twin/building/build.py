@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_base.errors import SceneError, SuiteError, UsageError
+from nw_base.errors import SceneError, StoreError, SuiteError, UsageError
 from nw_base.files.cache import atomic_path, check_place
 from nw_eval.api import check_scenes
 from nw_eval.suite.load import check_has_policy, load_suite
@@ -364,7 +364,7 @@ class Build:
         try:
             scene = load_folder(folder.scene, needs_scale=False)
             write_page(folder, scene, self._robot(), findings, survey)
-        except SceneError as error:
+        except (SceneError, StoreError) as error:
             self._say(f"check: no page: {error}")
         else:
             self._say(f"check: pictures, and how well all is known: {folder.page}")

@@ -1,10 +1,13 @@
 """A suite that names the motion to track: its digest counts for trials, its faults have a place."""
 
+from types import SimpleNamespace
+
 import pytest
 import yaml
 
 from nw_base.errors import PolicyError, SuiteError
 from nw_eval import api
+from nw_eval.api.proposals import write_proposal
 from nw_eval.suite import load_suite
 
 STANDING = "0,0,0.257,0,0,0,1," + ",".join(
@@ -114,3 +117,25 @@ def test_a_run_is_resumed_with_the_motion_that_it_began_with(folder):
     (folder / "suite.yaml").write_text(yaml.safe_dump(saved))
     report = api.run(str(folder / "suite.yaml"), resume=out, workers=1)
     assert len(report.rows) == 2
+
+
+def test_a_fault_of_the_file_names_the_suite_and_not_the_card(folder):
+    changed(folder, ", rate: 1", "")
+    (row,) = api.run(str(folder / "suite.yaml"), out=folder / "run", workers=1).rows
+    assert "add `rate` to the suite's `task.motion`" in row.error_text
+
+
+def test_a_suite_that_is_proposed_in_another_folder_has_the_same_task(folder):
+    plan = api.plan(str(folder / "suite.yaml"))
+    items = (SimpleNamespace(stratum=("open/field",), critical=False),)
+    proposal = SimpleNamespace(items=items, rounds=20, starts=10)
+    policy = SimpleNamespace(typed="", name="tracker")
+    file = folder / "proposed" / "sharp.yaml"
+    file.parent.mkdir()
+    write_proposal(file, plan, proposal, policy, [])
+    written = load_suite(file)
+    assert written.motion is not None
+    assert written.motion.samefile(folder / "motions" / "stand.csv")
+    assert written.task.model_dump(exclude={"motion"}) == plan.suite.task.model_dump(
+        exclude={"motion"}
+    )
