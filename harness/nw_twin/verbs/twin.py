@@ -115,7 +115,8 @@ class BuildTwin(AllFlags):
     """Build a scene from photographs: runs all stages and resumes after the last finished one.
 
     Takes a folder of photographs, a video, or cameras of COLMAP, nerfstudio or an app. Ends with
-    the findings of `scenes check`: exit code 2 on an error; the scene is kept.
+    the findings of `scenes check`: exit code 2 on an error; the scene is kept. `build/page.html`
+    shows it, and how well it is known.
     """
 
     photographs: tyro.conf.Positional[Path]
