@@ -106,7 +106,7 @@ class _Fitting:
         if rate is None:
             raise PolicyError(
                 f"{self._where}: the file does not say how many frames it has a second",
-                fix="add `rate` to `reference` on the card; LAFAN1 sets have 30",
+                fix="add `rate` beside `file`, on the card or in the suite; LAFAN1 sets have 30",
             )
         angles, rates = self._joints()
         root = self._root(angles)
@@ -123,7 +123,7 @@ class _Fitting:
         if len(angles) < 2:
             raise PolicyError(
                 f"{self._where}: the motion is shorter than two control steps",
-                fix="check `rate` of the card's `reference`",
+                fix="check `rate` beside `file`, on the card or in the suite",
             )
         if rates is None:
             rates = np.gradient(angles, step, axis=0)

@@ -1,5 +1,7 @@
 """A suite that names the motion to track: its digest counts for trials, its faults have a place."""
 
+import re
+
 import pytest
 import yaml
 
@@ -16,7 +18,6 @@ name: tracker
 robot: go1
 adapter: zero
 control: {action: joint_position_offset, scale: 0.25}
-reference: {anchor: trunk}
 observations:
   motion: {sensor: reference, terms: [joint_positions]}
 """
@@ -104,6 +105,30 @@ def test_what_is_wrong_with_it_is_said_at_its_place(old, new, said, folder):
     changed(folder, old, new)
     with pytest.raises((SuiteError, PolicyError), match=said):
         load_suite(folder / "suite.yaml")
+
+
+@pytest.mark.parametrize(
+    ("motion", "said"),
+    [
+        pytest.param("0,0,nothing\n", "with commas between", id="no numbers"),
+        pytest.param(f"{STANDING}\n{STANDING[:-3]}x\n", "stand.csv", id="damaged at its end"),
+        pytest.param("0,0,0.3,0,0,0,1,0.1\n" * 3, "has 1 joint without names", id="another robot"),
+        pytest.param("PK\x03\x04 no archive", "not a usable .npz file", id="no archive"),
+    ],
+)
+def test_a_broken_motion_is_a_fault_at_its_line_before_any_trial(motion, said, folder):
+    (folder / "motions" / "stand.csv").write_text(motion)
+    with pytest.raises(SuiteError, match=r"suite.yaml:8:\d+: task.motion.file: ") as error:
+        api.plan(str(folder / "suite.yaml"))
+    assert re.search(said, str(error.value))
+
+
+def test_a_broken_motion_of_the_card_is_a_fault_before_any_trial(folder):
+    changed(folder, ", motion: {file: motions/stand.csv, rate: 1}", "")
+    (folder / "tracker" / "own.csv").write_text("0,0,0.3,0,0,0,1,0.1\n" * 3)
+    (folder / "tracker" / "policy.yaml").write_text(CARD + "reference: {file: own.csv, rate: 1}\n")
+    with pytest.raises(PolicyError, match=r"own\.csv: the motion has 1 joint without names"):
+        api.plan(str(folder / "suite.yaml"))
 
 
 def test_a_run_is_resumed_with_the_motion_that_it_began_with(folder):
