@@ -21,6 +21,7 @@ from nw_base.plural import plural
 from nw_policies.cards.joints import short_name
 from nw_policies.drafting.checkpoint import CheckpointFacts, ExporterMetadata
 from nw_policies.drafting.configs import reader_of
+from nw_policies.drafting.environments import IN_CODE as OF_LAB
 from nw_policies.drafting.fields import Fields, account
 from nw_policies.drafting.gym_training import IN_CODE, pickled_settings
 from nw_policies.drafting.leapp import pipeline_checkpoint
@@ -37,6 +38,8 @@ _MOST = 24
 """Files that are looked at."""
 _MOST_CODE = 120
 """Files of a training's code."""
+_MOST_DIRECT = 500
+"""Files of tasks of Isaac Lab among which direct environments are looked for."""
 _HIGHEST = 8
 """Folders from a checkpoint up in which such code is looked for."""
 _OF_ROOT = (".git", "setup.py", "pyproject.toml")
@@ -114,9 +117,10 @@ def _texts(files: Sequence[tuple[str, Path]], most: int) -> dict[str, str]:
 
 
 def _code(folder: Path) -> list[tuple[str, Path]]:
-    """Return the files of a training in Isaac Gym, of the repository that a checkpoint lies in.
+    """Return the files of a training's code, of the repository that a checkpoint lies in.
 
-    Its tasks are registered in `envs/__init__.py`, in or below a folder above the checkpoint. What
+    Tasks are registered in `envs/__init__.py`, in or below a folder above the checkpoint, with
+    robots in `assets` beside it; direct ones of Isaac Lab lie below `source/NAME/NAME/tasks`. What
     lies outside of the repository is not looked at: it is of other policies.
     """
     places = [folder, *folder.parents][:_HIGHEST]
@@ -125,11 +129,20 @@ def _code(folder: Path) -> list[tuple[str, Path]]:
         for envs in (place / "envs", *sorted(place.glob("*/envs"))):
             register = envs / "__init__.py"
             if what_is(register) == "file" and b".register(" in register.read_bytes():
-                return [
-                    (f"{'../' * up}{path.relative_to(place).as_posix()}", path)
-                    for path in sorted(envs.rglob("*.py"))
-                ]
+                files = [*sorted(envs.rglob("*.py")), *sorted(envs.parent.glob("assets/**/*.py"))]
+                return _named(files, place, up)
+        direct = [
+            path
+            for path in sorted(place.glob("source/*/*/tasks/**/*.py"))[:_MOST_DIRECT]
+            if what_is(path) == "file" and path.stat().st_size <= _LARGEST
+        ]
+        if any(b"def _get_observations" in path.read_bytes() for path in direct):
+            return _named(direct, place, up)
     return []
+
+
+def _named(files: Sequence[Path], place: Path, up: int) -> list[tuple[str, Path]]:
+    return [(f"{'../' * up}{path.relative_to(place).as_posix()}", path) for path in files]
 
 
 def _deployed(root: Path, prefix: str, named: Sequence[str]) -> list[tuple[str, Path]]:
@@ -286,7 +299,7 @@ def _with_code(
     read: Sequence[tuple[int, ExporterMetadata]], code: ExporterMetadata
 ) -> list[tuple[int, ExporterMetadata]]:
     """Return what files say with the terms of a training's code, which a deploy config lacks."""
-    guessed, saved = _ORDER.index("gym"), _ORDER.index("gym_training")
+    guessed = _ORDER.index("gym")
     if code.observation_terms and all(term.own or term.grid for term in code.observation_terms):
         read = [
             (
@@ -294,7 +307,7 @@ def _with_code(
                 replace(
                     said,
                     observation_terms=() if kind == guessed else said.observation_terms,
-                    notes=tuple(note for note in said.notes if kind != saved or note != IN_CODE),
+                    notes=tuple(note for note in said.notes if note not in {IN_CODE, OF_LAB}),
                 ),
             )
             for kind, said in read

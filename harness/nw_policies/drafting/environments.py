@@ -22,6 +22,7 @@ from nw_policies.drafting.tracking import MOTION_COMMAND
 from nw_scenes.robots import RobotSpec
 
 Data = Fields
+IN_CODE = "the environment computes what the policy sees in its own code"
 
 
 def fields_of(value: Any) -> Fields:
@@ -324,7 +325,7 @@ def read_direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> 
         physics_rate=per_second(step),
         guessed_order=is_guess,
         notes=(
-            "the environment computes what the policy sees in its own code",
+            IN_CODE,
             *motor_notes,
         ),
     )
