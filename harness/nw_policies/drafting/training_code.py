@@ -318,7 +318,7 @@ def _read_lab(
         observation_terms=seen.terms,
         observation_clip=normal.number("clip_observations"),
         action_clip=(-clip, clip) if clip else None,
-        speeds=speeds_of({"": config.get("commands")}),
+        speeds=speeds_of(Fields({"": config.get("commands")})),
         notes=(*seen.notes, *(() if seen.terms else said.notes)),
     )
 
