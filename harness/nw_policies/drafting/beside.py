@@ -19,9 +19,10 @@ from nw_base.files.inside import what_is
 from nw_base.files.yaml_file import YamlProblems, parse_yaml
 from nw_base.plural import plural
 from nw_policies.cards.joints import short_name
-from nw_policies.drafting.checkpoint import CheckpointFacts, ExporterMetadata
+from nw_policies.drafting.checkpoint import CheckpointFacts
 from nw_policies.drafting.configs import reader_of
 from nw_policies.drafting.environments import IN_CODE as OF_LAB
+from nw_policies.drafting.exporters import ExporterMetadata
 from nw_policies.drafting.fields import Fields, account
 from nw_policies.drafting.gym_training import IN_CODE, pickled_settings
 from nw_policies.drafting.leapp import pipeline_checkpoint

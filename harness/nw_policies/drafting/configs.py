@@ -21,7 +21,6 @@ from dataclasses import replace
 from typing import Any, cast
 
 from nw_policies.cards.joints import short_name
-from nw_policies.drafting.checkpoint import ExportedTerm, ExporterMetadata
 from nw_policies.drafting.environments import (
     action_kind,
     action_notes,
@@ -36,6 +35,7 @@ from nw_policies.drafting.environments import (
     scale_of,
     speeds_of,
 )
+from nw_policies.drafting.exporters import ExportedTerm, ExporterMetadata
 from nw_policies.drafting.fields import (
     Fields,
     limits_of,

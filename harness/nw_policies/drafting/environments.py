@@ -14,7 +14,7 @@ from itertools import cycle
 from typing import Any, cast
 
 from nw_policies.cards.joints import short_name
-from nw_policies.drafting.checkpoint import ExportedTerm, ExporterMetadata, HeightGrid
+from nw_policies.drafting.exporters import ExportedTerm, ExporterMetadata, HeightGrid
 from nw_policies.drafting.fields import Fields, limits_of, per_second
 from nw_policies.drafting.layouts import TERM_OF, isaac_lab_order
 from nw_policies.drafting.motors import motor_groups, with_limits
@@ -88,6 +88,8 @@ def raw_limits(
         scale: for each unit of action; one number or one each.
         base: targets at action 0, alike; empty = 0.
     """
+    if not names:  # Of another robot.
+        return None, ()
     pairs = _pairs_of(action, names)
     if not pairs or len(scale) not in {1, len(names)} or not all(scale):
         action.doubt("clip", action.get("clip"))

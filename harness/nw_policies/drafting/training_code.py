@@ -18,9 +18,9 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, cast
 
 from nw_policies.cards.joints import short_name
-from nw_policies.drafting.checkpoint import ExporterMetadata
 from nw_policies.drafting.constants import UNKNOWN, constant, follow_settings
 from nw_policies.drafting.environments import read_direct_environment, speeds_of
+from nw_policies.drafting.exporters import ExporterMetadata
 from nw_policies.drafting.fields import Fields, number_of
 from nw_policies.drafting.gym_training import is_gym_training, read_gym_training
 from nw_policies.drafting.notation import plain

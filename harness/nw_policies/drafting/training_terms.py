@@ -15,8 +15,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
-from nw_policies.drafting.checkpoint import ExportedTerm, HeightGrid
 from nw_policies.drafting.constants import UNKNOWN, constant, is_number
+from nw_policies.drafting.exporters import ExportedTerm, HeightGrid
 
 OBSERVES = ("compute_observations", "_get_observations")
 """The methods that join what a policy sees."""
