@@ -21,6 +21,7 @@ from nw_base.plural import plural
 from nw_policies.cards.joints import short_name
 from nw_policies.drafting.checkpoint import CheckpointFacts
 from nw_policies.drafting.configs import reader_of
+from nw_policies.drafting.deploy_script import read_deploy_script
 from nw_policies.drafting.environments import IN_CODE as OF_LAB
 from nw_policies.drafting.exporters import ExporterMetadata
 from nw_policies.drafting.fields import Fields, account
@@ -100,7 +101,7 @@ def files_beside_checkpoint(checkpoint: Path, robot: str = "") -> dict[str, str]
             named = [folder.absolute().name] if up == 2 else [robot]
             files += _deployed(place.parent, "../" * up, named)
     listed = _texts([(name, path) for name, path in files if name != "policy.yaml"], _MOST)
-    return listed | _texts(_code(folder.absolute()), _MOST_CODE)
+    return listed | _texts(_code(checkpoint), _MOST_CODE)
 
 
 def _texts(files: Sequence[tuple[str, Path]], most: int) -> dict[str, str]:
@@ -117,14 +118,15 @@ def _texts(files: Sequence[tuple[str, Path]], most: int) -> dict[str, str]:
     return texts
 
 
-def _code(folder: Path) -> list[tuple[str, Path]]:
+def _code(checkpoint: Path) -> list[tuple[str, Path]]:
     """Return the files of a training's code, of the repository that a checkpoint lies in.
 
     Tasks are registered in `envs/__init__.py`, in or below a folder above the checkpoint, with
-    robots in `assets` beside it; direct ones of Isaac Lab lie below `source/NAME/NAME/tasks`. What
-    lies outside of the repository is not looked at: it is of other policies.
+    robots in `assets` beside it; direct ones of Isaac Lab lie below `source/NAME/NAME/tasks`. Else
+    it is the scripts that name the checkpoint, at most one folder deep. What lies outside of the
+    repository is not looked at: it is of other policies.
     """
-    places = [folder, *folder.parents][:_HIGHEST]
+    places = list(checkpoint.absolute().parents)[:_HIGHEST]
     ends = [up for up, place in enumerate(places) if any((place / n).exists() for n in _OF_ROOT)]
     for up, place in enumerate(places[: ends[0] + 1] if ends else ()):
         for envs in (place / "envs", *sorted(place.glob("*/envs"))):
@@ -139,7 +141,20 @@ def _code(folder: Path) -> list[tuple[str, Path]]:
         ]
         if any(b"def _get_observations" in path.read_bytes() for path in direct):
             return _named(direct, place, up)
+    for up, place in enumerate(places[: ends[0] + 1] if ends else ()):
+        scripts = [*sorted(place.glob("*.py")), *sorted(place.glob("*/*.py"))][:_MOST_DIRECT]
+        found = [path for path in scripts if what_is(path) == "file" and _names(path, checkpoint)]
+        if found:
+            return _named(found, place, up)
     return []
+
+
+def _names(script: Path, checkpoint: Path) -> bool:
+    """Return whether a script speaks of a checkpoint and fills slices of a row."""
+    if script.stat().st_size > _LARGEST:
+        return False
+    data = script.read_bytes()
+    return checkpoint.name.encode() in data and b":" in data and b"obs" in data
 
 
 def _named(files: Sequence[Path], place: Path, up: int) -> list[tuple[str, Path]]:
@@ -250,7 +265,10 @@ def _read_files(
         {name: text for name, text in texts.items() if name not in code}, robot, checkpoint, size
     )
     said = read_training_code(code, robot, checkpoint, size, saved) if code else None
-    return read if said is None else _with_code(read, said)
+    if said is not None:
+        return _with_code(read, said)
+    script = None if read else read_deploy_script(code, robot, checkpoint, size)
+    return read if script is None else [(_ORDER.index("gym"), script)]
 
 
 def _read_settings(

@@ -131,6 +131,8 @@ def _called(node: ast.Call, names: Mapping[str, Any]) -> Any:
     match node:
         case ast.Call(func=ast.Name(id="int" | "float" | "round" as kind), args=[inner]):
             return _cast(kind, constant(inner, names))
+        case ast.Call(func=ast.Attribute(attr="array" | "tensor"), args=[ast.List() as listed, *_]):
+            return constant(listed, names)
         case ast.Call(func=func, args=[], keywords=[_, *_] as keywords):
             return _made(func, keywords, names)
         case ast.Call(func=ast.Name(id=name), args=[]):

@@ -47,7 +47,7 @@ class _Task:
 class _Outer(Mapping[str, Any]):
     """What names mean in a module: settings of classes, and constants, of its own file first."""
 
-    def __init__(self, classes: _Classes, file: str) -> None:
+    def __init__(self, classes: CodeClasses, file: str) -> None:
         self._classes, self._file = classes, file
         self._known: dict[str, Any] = {}
 
@@ -74,7 +74,7 @@ class _Outer(Mapping[str, Any]):
         return len({**self._classes.found, **self._classes.assigned})
 
 
-class _Classes:
+class CodeClasses:
     """Classes of several files by name; of two that are called alike, that of the own file."""
 
     def __init__(self, texts: Mapping[str, str]) -> None:
@@ -197,7 +197,7 @@ def read_training_code(
         saved: settings that were saved with the checkpoint, which count before those of the code.
     """
     try:
-        classes = _Classes(texts)
+        classes = CodeClasses(texts)
         fits = [
             (_likeness(task, classes, robot, f"{checkpoint} {_experiment(saved)}"), each)
             for task in classes.tasks
@@ -222,7 +222,7 @@ def read_training_code(
     return replace(said, notes=(plain(note), *said.notes), sources=marked)
 
 
-def _likeness(task: _Task, classes: _Classes, robot: RobotSpec, path: str) -> tuple[int, bool]:
+def _likeness(task: _Task, classes: CodeClasses, robot: RobotSpec, path: str) -> tuple[int, bool]:
     """Return how well the names of a task are those of a checkpoint's path and of its robot."""
     names = [_letters(task.name), _letters(_experiment(classes.settings(task.trainer)))]
     lengths = [len(name) for name in names if name and name in _letters(path)]
@@ -241,7 +241,7 @@ def _letters(name: str) -> str:
 
 
 def _read(
-    task: _Task, classes: _Classes, robot: RobotSpec, size: int, saved: Mapping[str, Any] | None
+    task: _Task, classes: CodeClasses, robot: RobotSpec, size: int, saved: Mapping[str, Any] | None
 ) -> tuple[_Task, ExporterMetadata] | None:
     """Return what a task says of a robot's policy; None where it is of another, or not read."""
     settings = {**classes.settings(task.settings), **(saved or {})}
