@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import PurePath
 from typing import Any, cast
 
@@ -100,10 +100,7 @@ class _Script:
             rate=round(1 / (step * every), 6) if step and every else None,
             physics_rate=round(1 / step, 6) if step else None,
             observation_terms=tuple(
-                ExportedTerm(
-                    **{**cast("dict[str, Any]", term), "history": int(steps), "form": form}
-                )
-                for term in terms
+                replace(term, history=int(steps), form=form) for term in terms if term is not None
             ),
             observation_clip=clip if ast.unparse(self._tree).count("clip_obs") > 1 else None,
             notes=(
@@ -111,10 +108,7 @@ class _Script:
             ),
         )
         marked = {f.name: plain(self._file) for f in fields(known) if getattr(known, f.name)}
-        return ExporterMetadata(
-            **{f.name: getattr(known, f.name) for f in fields(known) if f.name != "sources"},
-            sources=marked,
-        )
+        return replace(known, sources=marked)
 
     def _row(self) -> list[tuple[int, int, ast.expr]]:
         """Return bounds and value of the slices of one name that follow one another from 0 on."""
@@ -134,7 +128,7 @@ class _Script:
                     pass
         return max(rows.values(), key=len, default=[])[:_MOST]
 
-    def _term(self, low: int, high: int, value: ast.expr) -> dict[str, Any] | None:
+    def _term(self, low: int, high: int, value: ast.expr) -> ExportedTerm | None:
         """Return a term's name, word, numbers and scale; None where its text says none of them."""
         scale: tuple[float, ...] = (1.0,)
         if isinstance(value, ast.BinOp) and isinstance(value.op, ast.Mult):
@@ -153,14 +147,14 @@ class _Script:
             if re.search(pattern, text):
                 is_offset = re.search(r" - .*(default|init)", f"{text} {whole}")
                 keys = "" if is_offset else keys  # noqa: PLW2901 - relative to the pose.
-                return {
-                    "name": name,
-                    "own": own,
-                    "keys": keys,
-                    "width": high - low,
-                    "scale": scale,
-                    "clip": (float("-inf"), float("inf")),
-                }
+                return ExportedTerm(
+                    name=name,
+                    own=own,
+                    keys=keys,
+                    width=high - low,
+                    scale=scale,
+                    clip=(float("-inf"), float("inf")),
+                )
         return None
 
     def _is_newest_first(self) -> bool:
