@@ -172,7 +172,7 @@ MOST = {
         ("nw_eval", "nw_places", "nw_scenes", "nw_sim", "nw_twin"),
     ),
     "nw_twin": Figures(
-        23250,  # Up of scans by all cues, and the ground on which a robot fits.
+        23950,  # USD stages and E57 in a confined process, splats alone, scale by one posterior.
         0,
         (),
     ),

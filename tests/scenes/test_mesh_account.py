@@ -253,7 +253,7 @@ def test_files_of_other_formats_are_called_what_they_are(tmp_path):
         ("a.stl", b"\x1f\x8b\x08", "compressed with gzip"),
         ("a.gltf", b"{}", "glTF that lies in several files; pack it into one file"),
         ("a.fbx", b"Kaydara FBX Binary", "an FBX scene; convert it"),
-        ("a.usd", b"PXR-USDC", "a USD stage; convert it"),
+        ("a.usd", b"PXR-USDC", "a USD stage; give it as .usdz"),
         ("a.dae", b"<?xml version", "XML, such as COLLADA; convert it"),
         ("a.las", b"LASF", "a LAS point cloud; give its points"),
         ("a.ksplat", b"\0\1\0", "a Gaussian splat, which has no surface"),

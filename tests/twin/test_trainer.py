@@ -91,8 +91,12 @@ def test_the_first_steps_learn_from_pictures_of_half_the_size_and_the_rest_from_
 def test_a_picture_of_half_the_size_shows_the_same_place_with_means_of_four_pixels():
     (photo, *_) = photos(depth=True)
     odd = replace(photo.camera, width=71, height=47)
-    photo = replace(photo, camera=odd, rgb=photo.rgb[:47, :71].copy(), inverse_depth=None)
+    mask = np.ones((47, 71), bool)
+    mask[7, 9] = False
+    rgb = photo.rgb[:47, :71].copy()
+    photo = replace(photo, camera=odd, rgb=rgb, inverse_depth=None, mask=mask)
     half = photo.halved()
+    assert np.argwhere(~half.mask).tolist() == [[3, 4]], "one of its four is no part of the place"
     assert half.rgb.shape == (23, 35, 3)
     assert half.rgb[3, 4].tolist() == pytest.approx(
         photo.rgb[6:8, 8:10].reshape(4, 3).mean(axis=0).tolist(), abs=0.5

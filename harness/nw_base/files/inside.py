@@ -95,7 +95,8 @@ def what_is(path: Path) -> Literal["file", "folder", "nothing"]:
 
 _UNPACK = "unpack it, and give what is in it"
 _MESH = "convert it to .glb, .obj, .ply or .stl, with Blender or CloudCompare"
-_CLOUD = "give its points as .las or .ply to `nw-eval scenes import`, or export a mesh from the app"
+_STAGE = "give it as .usdz, .usdc or .usda to `nw-eval scenes import`"
+_CLOUD = "give its points as .las, .e57 or .ply to `nw-eval scenes import`, or export a mesh"
 _MARKS: tuple[tuple[bytes, str, str], ...] = (
     (b"version https://git-lfs", "a Git LFS pointer, not the file itself", "run `git lfs pull`"),
     (b"\x1f\x8b", "compressed with gzip", "unpack it with `gunzip`"),
@@ -107,8 +108,8 @@ _MARKS: tuple[tuple[bytes, str, str], ...] = (
     (b"<!doctype html", "a web page", "download the file itself"),
     (b"<html", "a web page", "download the file itself"),
     (b"kaydara fbx", "an FBX scene", _MESH),
-    (b"pxr-usdc", "a USD stage", _MESH),
-    (b"#usda", "a USD stage", _MESH),
+    (b"pxr-usdc", "a USD stage", _STAGE),
+    (b"#usda", "a USD stage", _STAGE),
     (b"<?xml", "XML, such as COLLADA", _MESH),
     (b"lasf", "a LAS point cloud", _CLOUD),
     (b"astm-e57", "an E57 point cloud", _CLOUD),
@@ -136,7 +137,7 @@ def foreign(path: Path) -> tuple[str, str] | None:
             return "a damaged zip archive", "copy it again"
         listed = ", ".join(clean(one, at_most=60) for one in names[:3])
         if any(one.lower().endswith((".usdc", ".usda", ".usd")) for one in names):
-            return f"a USDZ package with {listed}", f"{_MESH}; its stage says which axis is up"
+            return f"a USDZ package with {listed}", _STAGE
         more = f" and {len(names) - 3} more" if len(names) > 3 else ""
         return f"a zip archive with {listed or 'nothing'}{more}", _UNPACK
     for begin, what, fix in _MARKS:

@@ -542,7 +542,7 @@ def open_scenes(
     from nw_base.errors import SceneError
     from nw_eval.suite import tier_problems
     from nw_sim import catalogue
-    from nw_sim.survey.course import start_finding
+    from nw_sim.tasks.course import start_finding
 
     opened: dict[tuple[str, Collision], FoundScene] = {}
     failed: list[str] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from nw_base.errors import IncomparableError, UsageError
 from nw_eval.suite.load import entry_from, suite_name, write_suite
+from nw_sim.tasks.track import with_motion
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
     from nw_eval.reporting.html.limits import LadderLimit
+    from nw_eval.suite import Suite
     from nw_gate.baseline.informative import Proposal
     from nw_gate.results.baseline import BaselineKey
     from nw_gate.stats.power import SceneCounts
@@ -176,7 +179,11 @@ def write_proposal(
     left = {"success_rate", "baseline", "tiers", "max_drop", "rounds"}
     settings: dict[str, Any] = suite.model_dump(by_alias=True, exclude_defaults=True)
     own = suite.source.base
+    is_place = suite.robot.startswith((".", "/"))
     settings |= {
+        # By its kind alone a reader knows of which task the other keys are.
+        **({"task": _task_from(file.parent, suite)} if "task" in settings else {}),
+        "robot": entry_from(file.parent, suite.robot, own) if is_place else suite.robot,
         "nw-eval": 1,
         "name": suite_name(file.stem),
         "policy": entry_from(file.parent, policy.typed)
@@ -205,6 +212,15 @@ def write_proposal(
         f"of {policy.name}. Its seed is another one, so that no result chose its own comparison.",
     ]
     write_suite(file, settings, _head(lines, file, policy.typed, policy.name, proposal.starts))
+
+
+def _task_from(folder: Path, suite: Suite) -> dict[str, Any]:
+    """Return the task of a suite as one of another folder names it."""
+    task = suite.task
+    if suite.motion is not None:
+        place = Path(os.path.relpath(suite.motion, folder)).as_posix()
+        task = with_motion(task, lambda _: place)
+    return {"kind": task.kind, **task.model_dump(exclude_defaults=True)}
 
 
 def _ladder_from(folder: Path, name: str, base: Path) -> str:

@@ -137,14 +137,16 @@ def _preflight_messages(plan: Plan) -> Iterator[str]:
     """Yield what is said before a run begins."""
     from nw_eval.engine.plan import obstacles_of
     from nw_scenes.robots import find_robot
-    from nw_sim.rollout.perturbed import unfelt
 
     if plan.shard is not None and plan.shard.count > 1:
         yield _part(plan, plan.shard)
     for note in find_robot(plan.suite.robot).notes:
         yield f"robot {plan.suite.robot.partition('@')[0]}: {note}"
-    for axis in unfelt(plan.bundle.card, dict(plan.suite.perturb.cells[0]), plan.suite.task):
-        yield f"perturb.{axis} changes nothing for {plan.bundle.card.name}: no sense for it"
+    if perturbed := dict(plan.suite.perturb.cells[0]):
+        from nw_sim.rollout.perturbed import unfelt  # Which imports the physics.
+
+        for axis in unfelt(plan.bundle.card, perturbed, plan.suite.task):
+            yield f"perturb.{axis} changes nothing for {plan.bundle.card.name}: no sense for it"
     for scene, finding in _trail_faults(plan):
         yield f"scene {scene}: {finding.message}; {finding.fix}"
     yield from _beyond_legs(plan)
@@ -158,10 +160,13 @@ def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
     The built-in ones are right.
     """
     from nw_sim.catalogue import is_built_in
-    from nw_sim.survey.course import course_findings
 
     for found_scene in plan.found:
         if not is_built_in(found_scene.reference):
+            from nw_sim.survey.course import (
+                course_findings,  # Compiles rays, which others do not need.
+            )
+
             for finding in course_findings(found_scene.scene, plan.suite.robot):
                 yield found_scene.scene.name, finding
 
@@ -173,12 +178,13 @@ def _beyond_legs(plan: Plan) -> Iterator[str]:
     """
     from nw_scenes.robots import BUILT_IN, get_robot
     from nw_sim.catalogue import is_built_in
-    from nw_sim.survey.legs import fit_of, legs_of
 
     is_ours = plan.suite.robot in BUILT_IN
     places = [each for each in plan.found if not (is_ours and is_built_in(each.reference))]
     if not places:
         return
+    from nw_sim.survey.legs import fit_of, legs_of
+
     legs = legs_of(get_robot(plan.suite.robot))
     fits = {found_scene.scene.name: fit_of(found_scene.scene, legs) for found_scene in places}
     asked = [f"{name} ({', '.join(fit.beyond)})" for name, fit in fits.items() if fit.beyond]

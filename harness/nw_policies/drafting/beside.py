@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from nw_base.errors import PolicyError
-from nw_base.files.inside import what_is
+from nw_base.files.inside import bounded_bytes, what_is
 from nw_base.files.yaml_file import YamlProblems, parse_yaml
 from nw_base.plural import plural
 from nw_policies.cards.joints import short_name
@@ -108,14 +108,18 @@ def _texts(files: Sequence[tuple[str, Path]], most: int) -> dict[str, str]:
     texts: dict[str, str] = {}
     for name, path in files:
         try:
-            is_ours = what_is(path) == "file" and path.stat().st_size <= _LARGEST
-            if is_ours and len(texts) < most:
+            if len(texts) < most:
                 # Bytes of a pickle are kept as letters of the same numbers.
                 letters = "latin-1" if name in _PICKLES else "utf-8"
-                texts[name] = path.read_bytes().decode(letters)
-        except (OSError, UnicodeDecodeError):
+                texts[name] = bounded_bytes(path, _LARGEST).decode(letters)
+        except (OSError, ValueError):
             continue
     return texts
+
+
+def _text(path: Path) -> str:
+    """Return the text of a file; nothing of one that is too large, or no text."""
+    return _texts([("", path)], 1).get("", "")
 
 
 def _code(checkpoint: Path) -> list[tuple[str, Path]]:
@@ -130,20 +134,15 @@ def _code(checkpoint: Path) -> list[tuple[str, Path]]:
     ends = [up for up, place in enumerate(places) if any((place / n).exists() for n in _OF_ROOT)]
     for up, place in enumerate(places[: ends[0] + 1] if ends else ()):
         for envs in (place / "envs", *sorted(place.glob("*/envs"))):
-            register = envs / "__init__.py"
-            if what_is(register) == "file" and b".register(" in register.read_bytes():
+            if ".register(" in _text(envs / "__init__.py"):
                 files = [*sorted(envs.rglob("*.py")), *sorted(envs.parent.glob("assets/**/*.py"))]
                 return _named(files, place, up)
-        direct = [
-            path
-            for path in sorted(place.glob("source/*/*/tasks/**/*.py"))[:_MOST_DIRECT]
-            if what_is(path) == "file" and path.stat().st_size <= _LARGEST
-        ]
-        if any(b"def _get_observations" in path.read_bytes() for path in direct):
+        direct = sorted(place.glob("source/*/*/tasks/**/*.py"))[:_MOST_DIRECT]
+        if any("def _get_observations" in _text(path) for path in direct):
             return _named(direct, place, up)
     for up, place in enumerate(places[: ends[0] + 1] if ends else ()):
         scripts = [*sorted(place.glob("*.py")), *sorted(place.glob("*/*.py"))][:_MOST_DIRECT]
-        found = [path for path in scripts if what_is(path) == "file" and _names(path, checkpoint)]
+        found = [path for path in scripts if _names(path, checkpoint)]
         if found:
             return _named(found, place, up)
     return []
@@ -151,10 +150,8 @@ def _code(checkpoint: Path) -> list[tuple[str, Path]]:
 
 def _names(script: Path, checkpoint: Path) -> bool:
     """Return whether a script speaks of a checkpoint and fills slices of a row."""
-    if script.stat().st_size > _LARGEST:
-        return False
-    data = script.read_bytes()
-    return checkpoint.name.encode() in data and b":" in data and b"obs" in data
+    text = _text(script)
+    return checkpoint.name in text and ":" in text and "obs" in text
 
 
 def _named(files: Sequence[Path], place: Path, up: int) -> list[tuple[str, Path]]:

@@ -18,6 +18,7 @@ _MOST = 100
 _DEEPEST = 2
 """Loops in a loop, that one included."""
 _LARGEST = 1e12
+"""Of a number; what is larger is not one of a policy's."""
 
 
 def follow_settings(
@@ -98,7 +99,8 @@ def constant(node: ast.expr, names: Mapping[str, Any]) -> Any:
     """
     match node:
         case ast.Constant(value=value):
-            return value
+            is_odd = isinstance(value, int | float) and not is_number(value + 0)
+            return UNKNOWN if is_odd else value
         case ast.Name(id=name):
             return names.get(name, UNKNOWN)
         case ast.Attribute(value=base, attr=name):
@@ -162,7 +164,7 @@ def _joined(parts: Sequence[ast.expr], names: Mapping[str, Any]) -> Any:
         constant(part.value if isinstance(part, ast.FormattedValue) else part, names)
         for part in parts
     ]
-    known = all(isinstance(text, str | int) for text in texts)
+    known = all(isinstance(text, str | bool) or type(text) is int for text in texts)
     return "".join(map(str, texts))[:_MOST] if known else UNKNOWN
 
 
@@ -177,28 +179,29 @@ def _negated(value: Any) -> Any:
 
 
 def is_number(value: Any) -> TypeGuard[int | float]:
-    """Whether a value is a number, and not a truth value."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    """Whether a value is a finite number of a usual size, and not a truth value."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
 
 
 def _computed(left: Any, op: ast.operator, right: Any) -> Any:
     if isinstance(left, list) and isinstance(op, ast.Mult) and isinstance(right, int):
         items = cast("list[Any]", left)
         return items * right if len(items) * max(right, 0) <= _MOST else UNKNOWN
-    if not is_number(left) or not is_number(right) or max(abs(left), abs(right)) > _LARGEST:
+    if not is_number(left) or not is_number(right):
         return UNKNOWN
     match op:
         case ast.Add():
-            return left + right
+            value = left + right
         case ast.Sub():
-            return left - right
+            value = left - right
         case ast.Mult():
-            return left * right
+            value = left * right
         case ast.Div() if right:
-            return left / right
+            value = left / right
         case ast.FloorDiv() if right:
-            return left // right
+            value = left // right
         case ast.Pow() if 0 < left <= 10 and 0 <= right <= 30:
-            return left**right
+            value = left**right
         case _:
             return UNKNOWN
+    return value if is_number(value) else UNKNOWN

@@ -62,7 +62,7 @@ def read_deploy_script(
 class _Script:
     def __init__(self, file: str, text: str) -> None:
         self._file = file
-        self._tree = ast.parse(text)
+        self._tree = ast.parse(text.removeprefix("\ufeff"))
         classes = CodeClasses({file: text})
         outer = classes.outer(file)
         settings = [classes.settings(name, file) for name in classes.found]
@@ -122,7 +122,8 @@ class _Script:
                         continue
                     low = 0 if part.lower is None else constant(part.lower, self._names)
                     high = constant(part.upper, self._names)
-                    if is_number(low) and is_number(high) and low == (row[-1][1] if row else 0):
+                    begins = row[-1][1] if row else 0
+                    if is_number(low) and is_number(high) and begins == low < high:
                         row.append((int(low), int(high), value))
                 case _:
                     pass

@@ -15,6 +15,8 @@ import ast
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
+from pathlib import PurePosixPath
 from typing import Any, cast
 
 from nw_policies.cards.joints import short_name
@@ -38,6 +40,8 @@ class _Task:
     """A registered training."""
 
     name: str
+    file: str
+    """Which registers it, or has the direct environment."""
     settings: str
     """Name of the class."""
     environment: str
@@ -63,7 +67,7 @@ class _Outer(Mapping[str, Any]):
                 self._known[name] = self._classes.settings(name, self._file)
             else:
                 values = self._classes.assigned[name]
-                own = self._file if self._file in values else next(iter(values))
+                own = min(values, key=partial(self._classes.unlike, name, self._file))
                 self._known[name] = constant(values[own], self._classes.outer(own))
         return self._known[name]
 
@@ -75,7 +79,7 @@ class _Outer(Mapping[str, Any]):
 
 
 class CodeClasses:
-    """Classes of several files by name; of two that are called alike, that of the own file."""
+    """Classes of several files by name; of those that are called alike, what a file imports."""
 
     def __init__(self, texts: Mapping[str, str]) -> None:
         self.found: dict[str, list[tuple[str, ast.ClassDef]]] = {}
@@ -83,17 +87,21 @@ class CodeClasses:
         self.assigned: dict[str, dict[str, ast.expr]] = {}
         """Values of names of modules, by file."""
         self._outer: dict[str, _Outer] = {}
+        self._imported: dict[tuple[str, str], str] = {}
+        self._known: dict[tuple[str, str], dict[str, Any]] = {}
         for file, text in texts.items():
             try:
-                tree = ast.parse(text)
+                tree = ast.parse(text.removeprefix("\ufeff"))
             except (SyntaxError, ValueError):
                 continue
             for node in ast.walk(tree):
                 if isinstance(node, ast.ClassDef):
                     self.found.setdefault(node.name, []).append((file, node))
-                    self.tasks += _direct(node)
+                    self.tasks += _direct(node, file)
+                elif isinstance(node, ast.ImportFrom):
+                    self._imported |= {(file, name.name): node.module or "" for name in node.names}
                 elif isinstance(node, ast.Call):
-                    self.tasks += _task(node)
+                    self.tasks += _task(node, file)
             for line in tree.body:
                 if isinstance(line, ast.Assign) and isinstance(line.targets[0], ast.Name):
                     self.assigned.setdefault(line.targets[0].id, {})[file] = line.value
@@ -102,22 +110,34 @@ class CodeClasses:
         """Return what names mean in a module."""
         return self._outer.setdefault(file, _Outer(self, file))
 
+    def unlike(self, name: str, file: str, other: str) -> tuple[bool, bool, bool]:
+        """Return how unlike another file is to be that which a file has a name of."""
+        module = self._imported.get((file, name), "").rpartition(".")[2]
+        place = PurePosixPath(other)
+        return other != file, place.stem != module, place.parent != PurePosixPath(file).parent
+
     def of(self, name: str, file: str = "") -> tuple[str, ast.ClassDef] | None:
-        """Return the file of a class, and the class."""
+        """Return the file of a class, and the class: of the own file, or as the file imports it."""
         found = self.found.get(name, [])
-        return next((pair for pair in found if pair[0] == file), found[0] if found else None)
+        return min(found, key=lambda pair: self.unlike(name, file, pair[0]), default=None)
 
     def settings(self, name: str, file: str = "", depth: int = 0) -> dict[str, Any]:
         """Return the constants of a class and of those below it; of inner classes, mappings."""
         found = self.of(name, file)
         if found is None or depth > _DEEPEST:
             return {}
-        return self._inner(found[1], found[0], depth)
+        place = name, found[0]
+        if place not in self._known:
+            self._known[place] = {}  # Of a class that inherits from itself.
+            self._known[place] = self._inner(found[1], found[0], depth)
+        return self._known[place]
 
     def _inner(self, node: ast.ClassDef, file: str, depth: int) -> dict[str, Any]:
         values: dict[str, Any] = {}
-        for base in node.bases:
+        for base in reversed(node.bases):  # The first one counts most.
             root, *path = _dotted(base)
+            if path and self.of(root, file) is None:  # A module's.
+                root, path = path[-1], []
             inherited: Any = self.settings(root, file, depth + 1) if root != node.name else {}
             for part in path:
                 inherited = inherited.get(part, {}) if isinstance(inherited, dict) else {}
@@ -129,16 +149,25 @@ class CodeClasses:
                 follow_settings(line, values, self.outer(file))
         return values
 
-    def methods(
-        self, name: str, file: str = "", depth: int = 0
-    ) -> list[Mapping[str, ast.FunctionDef]]:
+    def methods(self, name: str, file: str = "") -> list[Mapping[str, ast.FunctionDef]]:
         """Return the methods of a class, and of each that it inherits from, nearest first."""
-        found = self.of(name, file)
-        if found is None or depth > _DEEPEST:
-            return []
-        own = {line.name: line for line in found[1].body if isinstance(line, ast.FunctionDef)}
-        roots = [root for base in found[1].bases if (root := _dotted(base)[-1]) != name]
-        return [own, *(one for root in roots for one in self.methods(root, found[0], depth + 1))]
+        nearest: list[ast.ClassDef] = []
+        seen: set[int] = set()
+
+        def visit(name: str, file: str, depth: int) -> None:
+            found = self.of(name, file)
+            if found is None or id(found[1]) in seen or depth > _DEEPEST:
+                return
+            seen.add(id(found[1]))
+            for base in reversed(found[1].bases):
+                visit(_dotted(base)[-1], found[0], depth + 1)
+            nearest.insert(0, found[1])
+
+        visit(name, file, 0)
+        return [
+            {line.name: line for line in node.body if isinstance(line, ast.FunctionDef)}
+            for node in nearest
+        ]
 
 
 def _dotted(node: ast.expr) -> list[str]:
@@ -148,7 +177,7 @@ def _dotted(node: ast.expr) -> list[str]:
     return [node.id if isinstance(node, ast.Name) else ""]
 
 
-def _task(node: ast.Call) -> Iterator[_Task]:
+def _task(node: ast.Call, file: str) -> Iterator[_Task]:
     """Give the task of a call `task_registry.register("name", Environment, Settings(), ...)`."""
     if _dotted(node.func)[-1] != "register" or len(node.args) < 3:
         return
@@ -158,13 +187,14 @@ def _task(node: ast.Call) -> Iterator[_Task]:
         names = [_dotted(each)[-1] for each in called]
         yield _Task(
             name=name.value,
+            file=file,
             environment=names[0],
             settings=names[1],
             trainer=names[2] if len(names) > 2 else "",
         )
 
 
-def _direct(node: ast.ClassDef) -> Iterator[_Task]:
+def _direct(node: ast.ClassDef, file: str) -> Iterator[_Task]:
     """Give a task for each class of settings that a direct environment may have as its `cfg`."""
     methods = [line.name for line in node.body if isinstance(line, ast.FunctionDef)]
     if OBSERVES[1] not in methods:
@@ -177,7 +207,9 @@ def _direct(node: ast.ClassDef) -> Iterator[_Task]:
         if isinstance(name, ast.Name)
     ]
     for name in types or [""]:
-        yield _Task(name=name or node.name, environment=node.name, settings=name, trainer="")
+        yield _Task(
+            name=name or node.name, file=file, environment=node.name, settings=name, trainer=""
+        )
 
 
 def read_training_code(
@@ -204,14 +236,16 @@ def read_training_code(
             if (each := _read(task, classes, robot, size, saved)) is not None
         ]
     except (RecursionError, MemoryError):
-        return ExporterMetadata(notes=("the code of the training is nested too deep to be read",))
+        return ExporterMetadata(
+            notes=("the code of the training is nested too deep, or too large, to be read",)
+        )
     if not fits:
         return None
     best = max(score for score, _ in fits)
     named = [(task, said) for score, (task, said) in fits if score == best]
     task, said = named[0]
     others = [other.name for other, theirs in named[1:] if theirs != said]
-    file = (classes.of(task.environment) or ("",))[0]
+    file = (classes.of(task.environment, task.file) or ("",))[0]
     note = (
         f"its terms and settings are those of the task {task.name} in {plain(file)}, whose code "
         "was read, not run: is that its training?"
@@ -224,9 +258,9 @@ def read_training_code(
 
 def _likeness(task: _Task, classes: CodeClasses, robot: RobotSpec, path: str) -> tuple[int, bool]:
     """Return how well the names of a task are those of a checkpoint's path and of its robot."""
-    names = [_letters(task.name), _letters(_experiment(classes.settings(task.trainer)))]
+    names = [_letters(task.name), _letters(_experiment(classes.settings(task.trainer, task.file)))]
     lengths = [len(name) for name in names if name and name in _letters(path)]
-    asset = classes.settings(task.settings).get("asset")
+    asset = classes.settings(task.settings, task.file).get("asset")
     own = str(asset.get("name")) if isinstance(asset, dict) else ""
     return max(lengths, default=0), _letters(own) == _letters(robot.name)
 
@@ -244,9 +278,9 @@ def _read(
     task: _Task, classes: CodeClasses, robot: RobotSpec, size: int, saved: Mapping[str, Any] | None
 ) -> tuple[_Task, ExporterMetadata] | None:
     """Return what a task says of a robot's policy; None where it is of another, or not read."""
-    settings = {**classes.settings(task.settings), **(saved or {})}
+    settings = {**classes.settings(task.settings, task.file), **(saved or {})}
     config = Fields(settings)
-    methods = classes.methods(task.environment)
+    methods = classes.methods(task.environment, task.file)
     if not any(name in own for own in methods for name in OBSERVES):
         return None
     if (lab := _lab_environment(config)) is not None:

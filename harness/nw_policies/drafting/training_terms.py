@@ -21,7 +21,9 @@ from nw_policies.drafting.exporters import ExportedTerm, HeightGrid
 OBSERVES = ("compute_observations", "_get_observations")
 """The methods that join what a policy sees."""
 _MOST = 200
-"""Terms of a row."""
+"""Terms of a row, and calls of methods that are followed."""
+_NEAR = 1e-3
+"""m by which a point of a grid may be off."""
 _PERIODS = ("cycle_time", "period", "gait_period", "gait_cycle")
 _FREQUENCIES = ("step_freq", "gait_frequency", "gait_freq")
 _ACTS = "_pre_physics_step"
@@ -29,10 +31,11 @@ _ACTS = "_pre_physics_step"
 _DEEPEST = 4
 """Methods that call one another."""
 _SAME = frozenset(
-    {"clone", "unsqueeze", "squeeze", "view", "reshape", "flatten", "detach", "float", "to", "clip"}
-    | {"clamp", "contiguous"}
+    {"clone", "unsqueeze", "squeeze", "view", "reshape", "flatten", "detach", "float", "to"}
+    | {"contiguous"}
 )
 """Methods and functions behind which a term has the same numbers."""
+_LIMITS = frozenset({"clip", "clamp"})
 _NOISE = re.compile(r"noise|rand|bias|offset|lag|latency", re.IGNORECASE)
 _PAST = "the frames before"
 _OF_ROBOT = {
@@ -46,6 +49,8 @@ _OF_ROBOT = {
     "commands": ("command", 3, ""),
 }
 """What an attribute of the environment is on a card: term, numbers (None = one for each joint)."""
+_OWNER = r"(?:[\w.\[\]']+\.)?"
+"""Whose reading it is: `self._robot.`, `self.scene['robot'].`."""
 _OF_ARTICULATION = (
     (r"data\.(root_(com_)?lin_vel_b)", ("lin_vel", 3, "")),
     (r"data\.(root_(com_)?ang_vel_b|ang_vel_b)", ("ang_vel", 3, "")),
@@ -53,7 +58,7 @@ _OF_ARTICULATION = (
     (r"data\.(joint_pos)", ("joint_pos", None, "relative: false")),
     (r"data\.(joint_vel)", ("joint_vel", None, "")),
     (r"self\.(_?commands?)|command_generator\.(command)", ("command", 3, "")),
-    (r"self\.(_?actions?)|(action_buffer)\..*buffer\[:, -1(, :)?\]", ("last_output", None, "")),
+    (r"self\.(_?actions?)|(action_buffer)\.[\w.]*buffer\[:, -1(, :)?\]", ("last_output", None, "")),
 )
 """The same of Isaac Lab's articulations and IMUs, and of what direct environments hold."""
 
@@ -84,7 +89,7 @@ class _Reading:
         self.notes: list[str] = []
         self._texts: dict[str, str] = {}
         self._target = ""
-        self._depth = 0
+        self._depth = self._calls = 0
         normal = environment.settings.get("normalization", {})
         scales = normal.get("obs_scales", {}) if isinstance(normal, dict) else {}
         env = environment.settings.get("env", {})
@@ -165,31 +170,38 @@ class _Reading:
             if is_number(value) and value > 0:
                 yield float(value)
 
-    def follow(self, lines: Sequence[ast.stmt]) -> None:
-        """Follow lines of the method."""
+    def follow(self, lines: Sequence[ast.stmt]) -> bool:
+        """Follow lines of a method up to its end, and say whether they come to it."""
         for line in lines:
             match line:
-                case ast.Assign(targets=[ast.Tuple(elts=[target, *_])], value=ast.Call() as value):
-                    self._hold(target, value)
-                case ast.Assign(targets=[ast.Subscript(value=base)], value=value):
-                    self._changed(base, value)
                 case ast.Assign(targets=[target], value=value):
                     self._hold(target, value)
                 case ast.Return(value=ast.expr() as value):
                     self.held["return"] = self.row(value)
+                    return True
                 case ast.AnnAssign(target=target, value=ast.expr() as value):
                     self._hold(target, value)
-                case ast.If(test=test, body=body, orelse=other):
-                    is_drawn = _NOISE.search(ast.unparse(test)) is not None
-                    if self.about.is_lab and not is_drawn:
-                        self._doubt(test, body)
-                    self.follow(body if self._is_true(test) and not is_drawn else other)
+                case ast.If() if self._branches(line):
+                    return True
+                case ast.AugAssign(target=target, op=ast.Add(), value=value) if _is_noise(value):
+                    pass
+                case ast.AugAssign(target=target):
+                    self._forget(target, line)
                 case ast.Expr(
                     value=ast.Call(func=ast.Attribute(value=kept, attr="append"), args=[frame])
                 ):
                     self.held[ast.unparse(kept)] = self.row(frame)
                 case _:
                     pass
+        return False
+
+    def _branches(self, line: ast.If) -> bool:
+        """Follow the branch that is taken, and say whether the method comes to its end in it."""
+        if _is_noise(line.test):
+            return self.follow(line.orelse)
+        if self.about.is_lab:
+            self._doubt(line.test, line.body)
+        return self.follow(line.body if self._is_true(line.test) else line.orelse)
 
     def _doubt(self, test: ast.expr, body: Sequence[ast.stmt]) -> None:
         """Note what a branch would change that the settings do not decide, and is not taken."""
@@ -202,16 +214,28 @@ class _Reading:
 
     def _hold(self, target: ast.expr, value: ast.expr) -> None:
         if isinstance(target, ast.Name | ast.Attribute):
-            self._target = name = ast.unparse(target)
-            self._texts[name] = ast.unparse(value)
-            self.held[name] = self.row(value)
+            before, self._target = self._target, ast.unparse(target)
+            self._texts[self._target] = ast.unparse(value)
+            self.held[self._target] = self.row(value)
+            self._target = before
+        elif isinstance(target, ast.Subscript):
+            self._changed(target, value)
+        elif isinstance(target, ast.Tuple):
+            first, *others = target.elts
+            for other in others:
+                self._forget(other, value)
+            if isinstance(value, ast.Call):  # Of what a method returns, the first is for a policy.
+                self._hold(first, value)
+            else:
+                self._forget(first, value)
 
-    def _changed(self, base: ast.expr, value: ast.expr) -> None:
+    def _changed(self, target: ast.expr, value: ast.expr) -> None:
         """Follow numbers that are set in place: a clock that rests while the command is to stand.
 
-        `clock[:, :] = clock * moves + -1.0 * ~moves`, of `moves = norm(commands) > 0.01`.
+        `clock[:, :] = clock * moves + -1.0 * ~moves`, of `moves = norm(commands) > 0.01`. What else
+        is changed so is unknown.
         """
-        name, text = ast.unparse(base), ast.unparse(value)
+        name, text = ast.unparse(cast("ast.Subscript", target).value), ast.unparse(value)
         row = self.held.get(name, ())
         rests = re.search(r"(-?[\d.]+) \* ~(\w+)", text)
         moves = re.search(
@@ -220,8 +244,15 @@ class _Reading:
         if rests and moves and len(row) == 1 and row[0].own == "clock":
             keys = f"{row[0].keys}, standing: {{below: {moves[1]}, phase: {float(rests[1]):g}}}"
             self.held[name] = (replace(row[0], keys=keys),)
-        elif row:
-            self.notes.append(f"{name} is changed before it is seen: {text[:120]}")
+        else:
+            self._forget(target, value)
+
+    def _forget(self, target: ast.expr, line: ast.AST) -> None:
+        """Take what a line changes a part of, or computes with, for one term that is unknown."""
+        while isinstance(target, ast.Subscript):
+            target = target.value
+        if (name := ast.unparse(target)) in self.held:
+            self.held[name] = (_unknown(ast.unparse(line)),)
 
     def _is_true(self, test: ast.expr) -> bool:
         """Whether the settings say that a branch is taken."""
@@ -252,8 +283,6 @@ class _Reading:
         match node:
             case ast.Attribute(value=ast.Name(id="self"), attr=name) if name in _OF_ROBOT:
                 return (self._of_robot(name),)
-            case ast.Attribute(value=ast.Name(id="self"), attr="measured_heights"):
-                return (self._heights(),)
             case ast.Call():
                 found = self._called(node)
             case ast.BinOp():
@@ -262,7 +291,7 @@ class _Reading:
                 found = self._part(base, part)
             case _:
                 found = None
-        return (ExportedTerm(name=text[:80]),) if found is None else found
+        return (_unknown(text),) if found is None else found
 
     def _handed_on(self, node: ast.expr) -> Row | None:
         """Return the terms of what only holds others: a buffer, or what is for the policy."""
@@ -290,7 +319,7 @@ class _Reading:
     def _of_articulation(self, text: str) -> Row | None:
         """Return the term of a reading of Isaac Lab, of a clock, or of fixed numbers."""
         for pattern, (own, width, keys) in _OF_ARTICULATION:
-            if match := re.fullmatch(rf"(?:.*\.)?(?:{pattern})", text):
+            if match := re.fullmatch(rf"{_OWNER}(?:{pattern})", text):
                 name = next(group for group in match.groups() if group)
                 clipped = "clipped: true" if own == "last_output" and self.clip else keys
                 return (
@@ -303,7 +332,7 @@ class _Reading:
                     ),
                 )
         if re.fullmatch(r"self\.\w*phase(_signal)?", text) and self.offsets:
-            return self._clock(_path(text), "phase")
+            return self._clock("phase")
         known = self.constants.get(text.removeprefix("self.").lstrip("_"))
         if text.startswith("self.") and isinstance(known, list):
             keys = f"values: [{', '.join(f'{value:g}' for value in cast('list[float]', known))}]"
@@ -330,10 +359,11 @@ class _Reading:
         for node in (node for line in steps[:1] for node in ast.walk(line)):
             match node:
                 case ast.Call(
-                    func=ast.Attribute(attr="clamp" | "clip"), args=[clamped, _, limit]
+                    func=ast.Attribute(attr="clamp" | "clip"), args=[clamped, low, limit]
                 ) if "actions" in ast.unparse(clamped):
                     value = constant(limit, self.names)
-                    self.clip = float(value) if is_number(value) and value > 0 else None
+                    is_even = is_number(value) and constant(low, self.names) == -value < 0
+                    self.clip = float(value) if is_even else None
                 case ast.If(test=test, body=body) if self._is_true(test):
                     self.notes += [
                         "its actions are filtered by those before, and the card's are not: "
@@ -344,38 +374,48 @@ class _Reading:
                 case _:
                     pass
 
-    def _heights(self) -> ExportedTerm:
-        """Return the scan, whose points follow one another along y."""
+    def _heights(self, above: ast.expr) -> Row | None:
+        """Return the scan of what is `above` less the heights, whose points follow along y."""
         terrain = constant(_path("self.cfg.terrain"), self.names)
         axes = [
             terrain.get(f"measured_points_{axis}") if isinstance(terrain, dict) else None
             for axis in "xy"
         ]
-        if not all(isinstance(axis, list) and axis for axis in axes):
-            return ExportedTerm(name="measured_heights")
+        offset: Any = 0
+        match above:
+            case ast.BinOp(left=left, op=ast.Sub() | ast.Add() as op, right=right):
+                above, offset = left, constant(right, self.names)
+                offset = -offset if is_number(offset) and isinstance(op, ast.Sub) else offset
+            case _:
+                pass
+        is_of_trunk = "[:, 2]" in ast.unparse(above) and not isinstance(above, ast.BinOp)
+        if not is_of_trunk or not is_number(offset) or not all(map(_is_even, axes)):
+            return None
         x, y = ((axis[0], axis[-1], len(axis)) for axis in cast("list[list[float]]", axes))
-        grid = HeightGrid(x=x, y=y, order="y_fastest", offset=-0.5, body="")
-        return ExportedTerm(
-            name="measured_heights", width=x[2] * y[2], grid=grid, clip=(-1.0, 1.0), scale=(1.0,)
-        )
+        grid = HeightGrid(x=x, y=y, order="y_fastest", offset=float(offset), body="")
+        name, width = "measured_heights", x[2] * y[2]
+        return (ExportedTerm(name=name, width=width, grid=grid, scale=(1.0,)),)
 
     def _called(self, node: ast.Call) -> Row | None:
         name = node.func.attr if isinstance(node.func, ast.Attribute) else ""
         if name in {"cat", "concat", "concatenate", "hstack", "stack", "vstack"} and node.args:
             items = node.args[0]
-            if isinstance(items, ast.ListComp):  # The frames that a list keeps, or those not None.
-                inner, listed = items.elt, items.generators[0].iter
-                if isinstance(inner, ast.Name) and isinstance(listed, ast.Tuple | ast.List):
-                    return self._listed(listed.elts)
-                return self.held.get(ast.unparse(getattr(inner, "value", inner)))
+            if isinstance(items, ast.ListComp):
+                return self._kept(items)
             return self._listed(items.elts) if isinstance(items, ast.Tuple | ast.List) else None
-        if ast.unparse(node.func) == f"self.{name}" and self._depth < _DEEPEST:
+        if ast.unparse(node.func) == f"self.{name}":
             return self._returned(name)
         if name in {"sin", "cos"} and node.args:
-            return self._clock(node.args[0], "sine" if name == "sin" else "cosine")
-        if name in _SAME and isinstance(node.func, ast.Attribute):
+            value = "sine" if name == "sin" else "cosine"
+            return self._clock(value) if _is_turn(node.args[0]) else None
+        if name in _SAME | _LIMITS and isinstance(node.func, ast.Attribute):
             is_function = isinstance(node.func.value, ast.Name) and node.func.value.id == "torch"
-            return self.row(node.args[0] if is_function else node.func.value)
+            if not is_function:
+                args = [node.func.value, *node.args]
+            elif not (args := node.args):
+                return None
+            row = self.row(args[0])
+            return self._limited(row, args[1:], node.keywords) if name in _LIMITS else row
         return None
 
     def _listed(self, items: Sequence[ast.expr]) -> Row | None:
@@ -392,19 +432,80 @@ class _Reading:
     def _returned(self, name: str) -> Row | None:
         """Return the terms that another method of the environment returns, the first of several."""
         method = next((own[name] for own in self.about.methods if name in own), None)
-        if method is None:
+        if method is None or self._depth >= _DEEPEST or self._calls >= _MOST:
             return None
         self._depth += 1
-        kept, self.held = self.held, dict(self.held)
-        self.held.pop("return", None)
+        self._calls += 1
+        # Names of the one method are not those of the other; attributes are.
+        kept, self.held = self.held, _attributes(self.held)
         self.follow(method.body)
         found = self.held.get("return")
-        self.held = kept
+        self.held = {**kept, **_attributes(self.held)}
         self._depth -= 1
         return found
 
-    def _clock(self, angle: ast.expr, value: str) -> Row | None:
-        if self.period is None or "phase" not in ast.unparse(angle):
+    def _limited(
+        self, row: Row, limits: Sequence[ast.expr], keywords: Sequence[ast.keyword]
+    ) -> Row | None:
+        """Return terms within limits, which a card has before the factor; of one term alone.
+
+        A whole row is limited as the settings say, with `clip_observations`.
+        """
+        if len(row) != 1:
+            return row
+        named = {each.arg: each.value for each in keywords}
+        ends = [*limits, *(named[key] for key in ("min", "max") if key in named)]
+        low, high = [constant(end, self.names) for end in ends] if len(ends) == 2 else [UNKNOWN] * 2
+        term, factors = row[0], set(row[0].scale or ())
+        factor = factors.pop() if len(factors) == 1 else 0.0
+        if not is_number(low) or not is_number(high) or factor <= 0.0 or term.clip is not None:
+            return None
+        return (replace(term, clip=(low / factor, high / factor)),)
+
+    def _kept(self, frames: ast.ListComp) -> Row | None:
+        """Return a frame of `[kept[i] for i in range(n)]` or of `[each for each in kept]`.
+
+        Of `[each for each in (a, b) if each is not None]` it is the terms of a and b.
+        """
+        match frames:
+            case ast.ListComp(
+                elt=ast.Subscript(value=kept, slice=ast.Name(id=index)),
+                generators=[
+                    ast.comprehension(
+                        target=ast.Name(id=number),
+                        iter=ast.Call(func=ast.Name(id="range"), args=[_]),
+                        ifs=[],
+                    )
+                ],
+            ) if index == number:
+                return self.held.get(ast.unparse(kept))
+            case ast.ListComp(
+                elt=ast.Name(id=name),
+                generators=[ast.comprehension(target=ast.Name(id=each), iter=kept, ifs=[])],
+            ) if name == each:
+                return self.held.get(ast.unparse(kept))
+            case ast.ListComp(
+                elt=ast.Name(id=name),
+                generators=[
+                    ast.comprehension(
+                        target=ast.Name(id=each),
+                        iter=ast.Tuple(elts=parts) | ast.List(elts=parts),
+                        ifs=[
+                            ast.Compare(
+                                left=ast.Name(id=asked),
+                                ops=[ast.IsNot()],
+                                comparators=[ast.Constant(value=None)],
+                            )
+                        ],
+                    )
+                ],
+            ) if name == each == asked:
+                return self._listed(parts)
+            case _:  # Another order, or some of them.
+                return None
+
+    def _clock(self, value: str) -> Row | None:
+        if self.period is None:
             return None
         keys, width = f"frequency: {1 / self.period:.6g}, values: [{value}]", 1
         if self.offsets:
@@ -414,10 +515,10 @@ class _Reading:
 
     def _joined(self, node: ast.BinOp) -> Row | None:
         """Return a term with a factor, without the default pose, or without noise."""
-        left, right = node.left, node.right
+        left, right, text = node.left, node.right, ast.unparse(node.right)
         match node.op:
             case ast.Mult() | ast.Div():
-                if "commands_scale" in ast.unparse(right) and not self.factors:
+                if "commands_scale" in text and not self.factors:
                     return tuple(replace(term, scale=None) for term in self.row(left))
                 for one, other in ((left, right), (right, left)):
                     factors = self._factors(other)
@@ -427,19 +528,17 @@ class _Reading:
                         factors = tuple(1 / factor for factor in factors if factor)
                     return tuple(_scaled(term, factors) for term in self.row(one))
                 return None
-            case ast.Sub() if ast.unparse(left) == "self.dof_pos" and "default" in ast.unparse(
-                right
-            ):
+            case ast.Sub() if ast.unparse(left) == "self.dof_pos" and "default" in text:
                 return (replace(self._of_robot("dof_pos"), keys=""),)
-            case ast.Sub() if (
-                re.search(r"\.data\.default_joint_(pos|vel)$", ast.unparse(right))
-                and self.about.is_lab
+            case ast.Sub() if self.about.is_lab and (
+                default := re.fullmatch(rf"{_OWNER}data\.default_(joint_pos|joint_vel)", text)
             ):
                 row = self.row(left)
-                return tuple(replace(term, keys="") for term in row)
-            case ast.Sub() if "measured_heights" in ast.unparse(right):
-                return self.row(right)
-            case ast.Add() if _NOISE.search(ast.unparse(right)):
+                is_it = len(row) == 1 and (row[0].own, row[0].scale) == (default[1], (1.0,))
+                return (replace(row[0], keys=""),) if is_it else None
+            case ast.Sub() if text == "self.measured_heights":
+                return self._heights(left)
+            case ast.Add() if _is_noise(right):
                 return self.row(left)
             case _:
                 return None
@@ -452,7 +551,9 @@ class _Reading:
 
     def _part(self, base: ast.expr, part: ast.expr) -> Row | None:
         """Return the numbers of a term that a slice keeps: the first ones, or all."""
-        if ast.unparse(base) in {"self.obs_buf", self._target}:
+        text = ast.unparse(base)
+        is_past = text == self._target and text.startswith("self.") and text not in self.held
+        if text == "self.obs_buf" or is_past:
             return (ExportedTerm(name=_PAST, own=_PAST, width=0),)
         row = self.row(base)
         last = part.elts[-1] if isinstance(part, ast.Tuple) else part
@@ -462,14 +563,55 @@ class _Reading:
         high = UNKNOWN if last.upper is None else constant(last.upper, self.names)
         if last.upper is None and low == 0:
             return row
-        if row[0].own == "roll_pitch+yaw" and (low, high) == (0, 2):
+        if row and row[0].own == "roll_pitch+yaw" and (low, high) == (0, 2):
             return (replace(row[0], own="roll_pitch", width=2),)
+        if low != 0:
+            return None
         kept: list[ExportedTerm] = []
         for term in row:
-            if low == 0 and sum(each.width or 0 for each in kept) == high:
+            if sum(each.width or 0 for each in kept) == high:
                 break
             kept.append(term)
         return tuple(kept) if sum(each.width or 0 for each in kept) == high else None
+
+
+def _unknown(text: str) -> ExportedTerm:
+    return ExportedTerm(name=text[:80])
+
+
+def _is_even(axis: Any) -> bool:
+    """Whether numbers are those of an axis, each as far from the one before."""
+    if not isinstance(axis, list) or not axis or not all(map(is_number, cast("list[Any]", axis))):
+        return False
+    points = cast("list[float]", axis)
+    step = (points[-1] - points[0]) / max(1, len(points) - 1)
+    return all(abs(points[0] + i * step - point) < _NEAR for i, point in enumerate(points))
+
+
+def _attributes(held: Mapping[str, Row]) -> dict[str, Row]:
+    return {name: row for name, row in held.items() if name.startswith("self.")}
+
+
+def _is_noise(node: ast.expr) -> bool:
+    return _NOISE.search(ast.unparse(node)) is not None
+
+
+def _is_turn(angle: ast.expr) -> bool:
+    """Whether an angle is 2 pi times a phase, in any order."""
+    factors, words = [angle], list[str]()
+    while factors:
+        match factors.pop():
+            case ast.BinOp(left=left, op=ast.Mult(), right=right):
+                factors += [left, right]
+            case ast.Constant(value=2 | 2.0):
+                words.append("2")
+            case ast.Attribute(attr="pi"):
+                words.append("pi")
+            case ast.BinOp():
+                return False
+            case other:
+                words.append("phase" if "phase" in ast.unparse(other) else "")
+    return sorted(words) == ["2", "phase", "pi"]
 
 
 def _path(text: str) -> ast.expr:
@@ -528,17 +670,20 @@ def _framed(row: Row, own: Mapping[str, Any], size: int) -> Row:
         total = frames * known if is_number(frames) else UNKNOWN
     if not frame or len(unknown) == len(frame) or not is_number(total):
         return ()
-    single = next((own[key] for key in _SINGLES if is_number(own.get(key))), total)
-    if not unknown and single == total and known:
-        single = known  # What a buffer keeps is so many frames.
-    left = int(single) - known
-    if len(unknown) > 1 or left < 0 or (not unknown and left):
+    singles = [own[key] for key in _SINGLES if key in own]
+    if not unknown and known and all(single == total for single in singles):
+        singles = [total, known]  # What a buffer keeps is so many frames.
+    for single in (*singles, total):
+        if not is_number(single) or single < 1 or total % single or total > 100 * single:
+            continue
+        left = int(single) - known
+        if left == 0 if not unknown else len(unknown) == 1 and left > 0:
+            break
+    else:
         return ()
     if unknown:
         frame[unknown[0]] = replace(frame[unknown[0]], width=left)
-    steps, rest = divmod(int(total), int(single) or 1)
-    if rest or not 1 <= steps <= 100:
-        return ()
+    steps = int(total / single)
     form = f"order: {'newest_first' if newest_first else 'oldest_first'}, by: step"
     clip = (float("-inf"), float("inf"))
     return tuple(replace(term, history=steps, form=form, clip=term.clip or clip) for term in frame)

@@ -70,7 +70,8 @@ def reference_of(
     if (known := _known.get(wanted)) is None:
         where = str(file.path)
         data = read_file(file, bundle.folder, "motion")
-        known = _Fitting(read_motion(data, where), world, card, where).reference()
+        place = "the card's `reference`" if named is None else "the suite's `task.motion`"
+        known = _Fitting(read_motion(data, where), world, card, where, place).reference()
         while len(_known) >= _KEPT:
             del _known[next(iter(_known))]
         _known[wanted] = known
@@ -85,8 +86,11 @@ _known: dict[tuple[object, ...], Reference] = {}
 class _Fitting:
     """Puts one motion on one robot."""
 
-    def __init__(self, motion: MotionFile, world: World, card: Card, where: str) -> None:
+    def __init__(
+        self, motion: MotionFile, world: World, card: Card, where: str, named: str
+    ) -> None:
         assert card.reference is not None
+        self._named = named
         self._motion, self._world, self._card, self._where = motion, world, card, where
         self._said = card.reference
         self._robot = world.robot
@@ -106,7 +110,7 @@ class _Fitting:
         if rate is None:
             raise PolicyError(
                 f"{self._where}: the file does not say how many frames it has a second",
-                fix="add `rate` beside `file`, on the card or in the suite; LAFAN1 sets have 30",
+                fix=f"add `rate` to {self._named}; LAFAN1 sets have 30",
             )
         angles, rates = self._joints()
         root = self._root(angles)
@@ -123,7 +127,7 @@ class _Fitting:
         if len(angles) < 2:
             raise PolicyError(
                 f"{self._where}: the motion is shorter than two control steps",
-                fix="check `rate` beside `file`, on the card or in the suite",
+                fix=f"check `rate` of {self._named}",
             )
         if rates is None:
             rates = np.gradient(angles, step, axis=0)
@@ -136,15 +140,15 @@ class _Fitting:
         names = [*map(short_name, self._said.joints or motion.joints)] or self._order(count)
         if len(names) != count:
             raise PolicyError(
-                f"{self._where}: it has {plural(count, 'joint')}, and `joints` of the card's "
-                f"`reference` names {len(names)}",
+                f"{self._where}: it has {plural(count, 'joint')}, and `joints` of "
+                f"{self._named} names {len(names)}",
                 fix="name one for each column",
             )
         absent = [name for name in names if name not in own]
         if absent:
             raise PolicyError(
                 f"{self._where}: the robot {self._robot.name} has no joint {absent[0]!r}",
-                fix="give the motion of this robot, or name its joints: `reference: {joints: ...}`",
+                fix=f"give this robot's motion, or name its joints with `joints` of {self._named}",
             )
         angles = np.tile(self._pose, (len(motion.joint_positions), 1))
         places = [own.index(name) for name in names]
@@ -164,7 +168,7 @@ class _Fitting:
             raise PolicyError(
                 f"{self._where}: the motion has {plural(count, 'joint')} without names, the robot "
                 f"{self._robot.name} has {len(own)}",
-                fix="name them in their order on the card: `reference: {joints: [...]}`",
+                fix=f"name them in their order with `joints` of {self._named}",
             )
         if self._motion.positions.shape[1] == 1:
             return own
@@ -197,7 +201,7 @@ class _Fitting:
             raise PolicyError(
                 f"{self._where}: bodies of the motion lie {apart:.2f} m beside those of the robot "
                 f"{self._robot.name} on average, with joints in any order that is known here",
-                fix="give the motion of this robot, or name its joints: `reference: {joints: ...}`",
+                fix=f"give this robot's motion, or name its joints with `joints` of {self._named}",
             )
 
     def _root(self, angles: Array) -> Array:

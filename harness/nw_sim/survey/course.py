@@ -19,7 +19,7 @@ from nw_scenes.rays import RayScene
 from nw_scenes.robots import RobotSpec, get_robot
 from nw_scenes.scene import HeightField, Scene
 from nw_sim.physics import World
-from nw_sim.tasks.course import REACH_RADIUS
+from nw_sim.tasks.course import REACH_RADIUS, start_finding
 
 Values = NDArray[np.float64]
 
@@ -229,41 +229,6 @@ def _ground_at(samples: CourseSamples, rays: RayScene, x: float, half_width: flo
     carries = np.abs(heights - trail) < _FARTHEST
     highest = np.where(carries, heights, -np.inf).max(axis=1)
     return np.where(np.isfinite(highest), highest, trail[:, 0])
-
-
-def waypoints_at_start(scene: Scene) -> int:
-    """Return how many waypoints a robot that stays at its start can be credited with.
-
-    They count in order, each within `REACH_RADIUS` of the trunk, seen from above. A trial may begin
-    anywhere within the jitter of the spawn, and move a waypoint by its noise.
-    """
-    spawn = scene.spawn
-    play = np.array([spawn.x_jitter, spawn.y_jitter]) + np.array(scene.waypoint_noise)
-    away = np.abs(scene.trail[:, :2] - np.array(spawn.position[:2]))
-    nearest = np.hypot(*np.maximum(away - play, 0.0).T)
-    beyond = np.flatnonzero(~(nearest < REACH_RADIUS))
-    return int(beyond[0]) if len(beyond) else len(scene.trail)
-
-
-def start_finding(scene: Scene) -> SceneFinding | None:
-    """Return that a robot which stays at the start reaches waypoints; None if it does not.
-
-    Success would not be earned: `nw-eval run` refuses such a scene.
-    """
-    count = waypoints_at_start(scene)
-    if not count:
-        return None
-    x, y, z = scene.trail[0].tolist()
-    which = "waypoint 0 is" if count == 1 else f"waypoints 0 to {count - 1} are"
-    return SceneFinding(
-        code="waypoint_at_start",
-        severity="error",
-        message=f"{which} reached at the start: ({x:.2f}, {y:.2f}) is within {REACH_RADIUS:g} m of "
-        "where a trial may begin, so a robot that stands still is credited",
-        fix="remove what the robot need not walk to, or move the spawn back",
-        value=float(np.hypot(x - scene.spawn.position[0], y - scene.spawn.position[1])),
-        place=(x, y, z),
-    )
 
 
 def course_findings(scene: Scene, robot: str) -> list[SceneFinding]:

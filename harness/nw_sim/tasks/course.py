@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Literal, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ from nw_base.errors import SceneError
 from nw_base.memory import read_only
 from nw_base.protocol import STRICT, EvaluationProtocol
 from nw_base.words import Outcome
+from nw_scenes.finding import SceneFinding
 from nw_sim.tasks.task import (
     Goal,
     Place,
@@ -33,6 +34,9 @@ from nw_sim.tasks.task import (
     TaskRules,
     TaskSettings,
 )
+
+if TYPE_CHECKING:
+    from nw_scenes.scene import Scene
 
 PUBLISHED_FIRST_SEED = 10_000
 """From where the published evaluation numbers its episodes."""
@@ -520,3 +524,38 @@ def draw_start(
         moved[:, :2] += noise * np.asarray(waypoint_noise, dtype=np.float64)
     x, y, yaw = nominal + offset
     return Goal(x=float(x), y=float(y), yaw=float(yaw), waypoints=moved)
+
+
+def waypoints_at_start(scene: Scene) -> int:
+    """Return how many waypoints a robot that stays at its start can be credited with.
+
+    They count in order, each within `REACH_RADIUS` of the trunk, seen from above. A trial may begin
+    anywhere within the jitter of the spawn, and move a waypoint by its noise.
+    """
+    spawn = scene.spawn
+    play = np.array([spawn.x_jitter, spawn.y_jitter]) + np.array(scene.waypoint_noise)
+    away = np.abs(scene.trail[:, :2] - np.array(spawn.position[:2]))
+    nearest = np.hypot(*np.maximum(away - play, 0.0).T)
+    beyond = np.flatnonzero(~(nearest < REACH_RADIUS))
+    return int(beyond[0]) if len(beyond) else len(scene.trail)
+
+
+def start_finding(scene: Scene) -> SceneFinding | None:
+    """Return that a robot which stays at the start reaches waypoints; None if it does not.
+
+    Success would not be earned: `nw-eval run` refuses such a scene.
+    """
+    count = waypoints_at_start(scene)
+    if not count:
+        return None
+    x, y, z = scene.trail[0].tolist()
+    which = "waypoint 0 is" if count == 1 else f"waypoints 0 to {count - 1} are"
+    return SceneFinding(
+        code="waypoint_at_start",
+        severity="error",
+        message=f"{which} reached at the start: ({x:.2f}, {y:.2f}) is within {REACH_RADIUS:g} m of "
+        "where a trial may begin, so a robot that stands still is credited",
+        fix="remove what the robot need not walk to, or move the spawn back",
+        value=float(np.hypot(x - scene.spawn.position[0], y - scene.spawn.position[1])),
+        place=(x, y, z),
+    )

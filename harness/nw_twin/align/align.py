@@ -1,20 +1,21 @@
-"""Aligning a capture: up by consensus, scale by a tag or what else is known, the floor at z = 0.
+"""Aligning a capture: up and scale by all that is known of them, the floor at z = 0.
 
-Scale, how long a unit of a capture is, is by every cue that there is, the most trusted first.
 Lengths and heights that somebody measured lie between points in space, or points picked in shots.
+`scale.py` weighs what gives a scale.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_base.errors import PrerequisiteError, UsageError, nearest
+from nw_base.errors import PrerequisiteError, SceneError, UsageError, nearest
 from nw_base.plural import plural
 from nw_base.words import UpAxis
 from nw_scenes.rays import RayScene
@@ -33,26 +34,25 @@ from nw_twin.align.alignment import (
     placed,
     words_of,
 )
-from nw_twin.align.gravity import Mesh, find_gravity
+from nw_twin.align.gravity import GravityAnswer, Mesh, find_gravity
 from nw_twin.align.positions import PositionFit, fit_positions
+from nw_twin.align.scale import ScaleSource, solve_scale
 from nw_twin.align.tags import FAMILY, PlacedTag, find_tags, place_tags, triangulate
 from nw_twin.align.up import KnownUp
 from nw_twin.capture import Capture, PlacedShot
 from nw_twin.place import moved_mesh
 
-_VAGUE = 0.02
-"""A scale by positions that is known worse is worth a word."""
 _ROUGH = 0.03
 """A scale by a length that a pixel changes by more is worth a word."""
 _USELESS = 0.15
-"""A scale that is known worse is none: it is compared with others."""
+"""Relative standard deviation of a source that a user has to know to be next to none."""
+_LOOSEST = 0.35
+"""A scale that is known worse, with 95 %, is none."""
 _TAG, _LENGTH, _HEIGHT, _POSES = 0.01, 0.01, 0.06, 0.02
 """Relative standard deviations of an edge and a length that somebody measured, of the height at
 which somebody says that a camera was held, and of a phone's tracking."""
-_CONTRADICT = 3.0
-"""Standard deviations of their difference from which on two sources contradict each other."""
-_NINE_OF_TEN = 1.645
-"""Standard deviations within which a scale lies nine times out of ten."""
+_LEVEL = 2.0
+"""Degrees by which a floor slopes at most, for the cameras' height over it to give a scale."""
 _TOLERANCE = 8.0
 """Pixels that a picked point may be off: hands are less exact than detectors."""
 
@@ -71,45 +71,23 @@ class ScaleAnswer:
     uncertain: float | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class _ScaleBy:
-    name: str
-    scale: float
-    sigma: float
-    reason: str
-
-    def contradicts(self, other: _ScaleBy) -> bool:
-        apart = abs(math.log(self.scale / other.scale))
-        return apart > _CONTRADICT * math.hypot(self.sigma, other.sigma)
-
-    def __str__(self) -> str:
-        known = f"known to {min(_NINE_OF_TEN * self.sigma, 9.99):.0%}"
-        return f"{self.name} says {self.scale:.3g} m a unit, {known}"
-
-
 def find_scale(
     capture: Capture,
     folder: Path | None,
     options: AlignOptions,
     *,
-    heights: Values,
-    lower: float,
-    has_floor: bool,
+    gravity: GravityAnswer,
     surface: RayScene | None,
     positions: PositionFit | None,
     say: Callable[[str], None],
 ) -> ScaleAnswer:
-    """Return the scale by the source that is known best: tags, lengths, height, poses, positions.
-
-    Where two contradict each other by more than both claim, and no third decides, there is none.
+    """Return the scale by all sources: tags, lengths, the cameras' height, poses, positions.
 
     Args:
         capture: with its pictures in `folder`.
         folder: of the capture; None = its pictures are not looked at.
         options: what somebody knows.
-        heights: (V,) of the cameras above the floor, in the capture's unit.
-        lower: share of their height by which the lowest points lie below the floor.
-        has_floor: whether a plane was found for a floor.
+        gravity: up and the floor.
         surface: mesh on which points lie that were picked in one photograph; None without.
         positions: the fit to known positions; None without.
         say: receives the tags that are found.
@@ -117,65 +95,54 @@ def find_scale(
     Raises:
         UsageError: a point of a length is in no photograph, or does not meet the surface.
         PrerequisiteError: what finds tags is not installed.
-        SceneError: a picture cannot be read.
+        SceneError: a picture cannot be read; or sources contradict each other, and no further one
+            says which is wrong.
     """
     warnings: list[str] = []
-    answers = [
+    sources = [
         *_by_tags(capture, folder, options, warnings, say),
         *_by_lengths(capture, options, surface, warnings),
-        *_by_camera_height(options, heights if has_floor else None, lower, warnings),
+        *_by_camera_height(options, gravity, warnings),
         *_by_poses(options, positions, warnings),
     ]
-    best = _best(answers, warnings)
-    if best is None:
+    sources.sort(key=lambda one: one.sigma)
+    answer = solve_scale(sources) if sources else None
+    if answer is not None and answer.disputed:
+        raise SceneError(
+            "the scale is not known, since its sources contradict each other: "
+            + "; ".join(str(sources[i]) for i in answer.disputed),
+            fix="measure one more length and give it (--length A B METRES), or correct the option "
+            "that is wrong",
+        )
+    if answer is None or answer.within > _LOOSEST:
         warnings.append(_nothing(capture, folder, options))
-        own = _own_unit(capture, heights)
-        return ScaleAnswer(scale=own, cues=_scale_cues(answers, None), warnings=tuple(warnings))
+        own = _own_unit(capture, gravity.heights)
+        return ScaleAnswer(scale=own, cues=_cues(sources, own), warnings=tuple(warnings))
+    warnings += [
+        f"{sources[i]}: the others contradict it, and it is not used" for i in answer.wrong
+    ]
     return ScaleAnswer(
-        scale=best.scale,
-        cues=_scale_cues(answers, best),
+        scale=answer.scale,
+        cues=_cues(sources, answer.scale, set(range(len(sources))) - set(answer.wrong)),
         warnings=tuple(warnings),
-        uncertain=_NINE_OF_TEN * best.sigma,
+        uncertain=answer.within,
     )
 
 
-def _best(answers: list[_ScaleBy], warnings: list[str]) -> _ScaleBy | None:
-    """Return the source that is known best of those that most others agree with; None without."""
-
-    def votes(one: _ScaleBy) -> int:
-        return sum(-1 if one.contradicts(other) else 1 for other in answers if other is not one)
-
-    usable = [one for one in answers if one.sigma <= _USELESS]
-    best = max(usable, key=lambda one: (votes(one), -one.sigma), default=None)
-    if best is None:
-        return None
-    against = [one for one in answers if best.contradicts(one)]
-    if not against:
-        return best
-    which = "; ".join(map(str, [best, *against]))
-    if votes(best) >= 0:  # Two against one, itself counted.
-        warnings.append(f"sources of the scale contradict each other: {which}. The first is used")
-        return best
-    warnings.append(
-        f"the scale is not known, since its sources contradict each other: {which}. Give another "
-        "length (--length A B METRES), or leave the wrong one out"
-    )
-    return None
-
-
-def _scale_cues(answers: list[_ScaleBy], best: _ScaleBy | None) -> tuple[ScaleCue, ...]:
-    """Return what each source says, the one that is used first."""
-    ordered = sorted(answers, key=lambda one: one is not best)
+def _cues(
+    sources: list[ScaleSource], scale: float, used: AbstractSet[int] = frozenset()
+) -> tuple[ScaleCue, ...]:
+    """Return what each source says, those that are used first."""
     return tuple(
         ScaleCue(
-            name=one.name,
-            scale=one.scale,
-            difference=one.scale / ordered[0].scale - 1.0,
-            used=one is best,
-            uncertain=_NINE_OF_TEN * one.sigma,
-            reason=one.reason,
+            name=sources[i].name,
+            scale=sources[i].scale,
+            difference=sources[i].scale / scale - 1.0,
+            used=i in used,
+            uncertain=sources[i].within,
+            reason=sources[i].reason,
         )
-        for one in ordered
+        for i in sorted(range(len(sources)), key=lambda i: i not in used)
     )
 
 
@@ -185,7 +152,7 @@ def _by_tags(
     options: AlignOptions,
     warnings: list[str],
     say: Callable[[str], None],
-) -> list[_ScaleBy]:
+) -> list[ScaleSource]:
     if folder is None or options.tag_edge is None:
         return []
     sightings = find_tags(capture, folder, say)
@@ -200,7 +167,7 @@ def _by_tags(
     return [_tag_answer(tags, options.tag_edge, warnings)]
 
 
-def _tag_answer(tags: list[PlacedTag], edge: float, warnings: list[str]) -> _ScaleBy:
+def _tag_answer(tags: list[PlacedTag], edge: float, warnings: list[str]) -> ScaleSource:
     """Return the mean of the tags' scales, each as often as shots agree on it."""
     logs = np.array([math.log(edge / tag.edge) for tag in tags])
     shots = np.array([tag.shots for tag in tags])
@@ -219,34 +186,35 @@ def _tag_answer(tags: list[PlacedTag], edge: float, warnings: list[str]) -> _Sca
         f"{agree}; corners off by {pixels:.2f} pixels"
     )
     sigma = math.hypot(_TAG, spread)
-    return _ScaleBy(name="tag", scale=math.exp(middle), sigma=sigma, reason=reason)
+    return ScaleSource(name="tag", scale=math.exp(middle), sigma=sigma, reason=reason)
 
 
 def _by_camera_height(
-    options: AlignOptions, heights: Values | None, lower: float, warnings: list[str]
-) -> list[_ScaleBy]:
+    options: AlignOptions, gravity: GravityAnswer, warnings: list[str]
+) -> list[ScaleSource]:
+    """Return the scale by the cameras' height above a floor that was seen; empty without one."""
     if options.camera_height is None:
         return []
-    if heights is None:
-        warnings.append("no level floor was found, so that the cameras' height gives no scale")
-        return []
-    height = float(np.median(heights))
-    if height <= 0:
-        warnings.append(
-            "half of the cameras are below the floor that was found, so that their height gives "
-            "no scale"
+    height, why = float(np.median(gravity.heights)), None
+    sigma = math.hypot(_HEIGHT, math.log1p(gravity.lower))
+    if not gravity.has_floor:
+        why = "no level floor was found"
+    elif height <= 0:
+        why = "half of the cameras are below the floor that was found"
+    elif gravity.slope > _LEVEL:
+        why = f"the floor that was found slopes by {gravity.slope:.1f} degrees"
+    elif sigma > _USELESS:
+        why = (
+            f"points lie {gravity.lower:.0%} of the cameras' height below the floor that was found,"
+            " which may be a ledge"
         )
+    if why is not None:
+        warnings.append(f"{why}, so that the cameras' height gives no scale")
         return []
-    low, high = np.quantile(heights, [0.1, 0.9]) / height * options.camera_height
+    low, high = np.quantile(gravity.heights, [0.1, 0.9]) / height * options.camera_height
     reason = f"median {options.camera_height:g} m; most cameras from {low:.2f} to {high:.2f} m"
-    sigma = math.hypot(_HEIGHT, math.log1p(lower))
-    if sigma > _USELESS:
-        warnings.append(
-            f"points lie {lower:.0%} of the cameras' height below the floor that was found, which "
-            "may be a ledge, so that their height gives no scale"
-        )
     scale = options.camera_height / height
-    return [_ScaleBy(name="camera height", scale=scale, sigma=sigma, reason=reason)]
+    return [ScaleSource(name="camera height", scale=scale, sigma=sigma, reason=reason)]
 
 
 def _by_lengths(
@@ -254,8 +222,8 @@ def _by_lengths(
     options: AlignOptions,
     surface: RayScene | None,
     warnings: list[str],
-) -> list[_ScaleBy]:
-    answers: list[_ScaleBy] = []
+) -> list[ScaleSource]:
+    answers: list[ScaleSource] = []
     for length in options.lengths:
         units = units_of(length, capture, surface)
         ends = f"{words_of(length.first)} and {words_of(length.second)}"
@@ -269,7 +237,7 @@ def _by_lengths(
                 )
         sigma = math.hypot(_LENGTH, 0.0 if off is None else off / units)
         scale = length.metres / units
-        answers.append(_ScaleBy(name="length", scale=scale, sigma=sigma, reason=reason))
+        answers.append(ScaleSource(name="length", scale=scale, sigma=sigma, reason=reason))
     return answers
 
 
@@ -302,26 +270,24 @@ def _own_unit(capture: Capture, heights: Values) -> float:
 
 def _by_poses(
     options: AlignOptions, positions: PositionFit | None, warnings: list[str]
-) -> list[_ScaleBy]:
-    answers: list[_ScaleBy] = []
+) -> list[ScaleSource]:
+    answers: list[ScaleSource] = []
     if options.metric:
         reason = "they come in metres"
-        answers.append(_ScaleBy(name="poses", scale=1.0, sigma=_POSES, reason=reason))
+        answers.append(ScaleSource(name="poses", scale=1.0, sigma=_POSES, reason=reason))
     if positions is None or not positions.scale > 0:
         return answers
-    known = f"the positions{' (GPS)' if options.positions_error else ''} are off by"
-    sigma, off = positions.uncertain, max(positions.off, options.positions_error)
+    sigma = math.hypot(positions.uncertain, 0.0 if options.positions_error else _POSES)
+    off = max(positions.off, options.positions_error)
     reason = (
         f"{plural(len(options.positions), 'shot')}, off by {off:.3g} m; scale known to {sigma:.1%}"
     )
-    answers.append(_ScaleBy(name="positions", scale=positions.scale, sigma=sigma, reason=reason))
+    answers.append(ScaleSource(name="positions", scale=positions.scale, sigma=sigma, reason=reason))
     if sigma > _USELESS:
         warnings.append(
-            f"{known} {off:.2g} m, so they know the scale to {sigma:.0%} only, which is none: the "
-            "photographs lie too near together"
+            f"positions{' (GPS)' if options.positions_error else ''} that are off by {off:.2g} m "
+            f"know the scale to {1.96 * sigma:.0%} only: the photographs lie too near together"
         )
-    elif sigma > _VAGUE:
-        warnings.append(f"{known} {off:.2g} m, so they know the scale to {sigma:.0%} only")
     return answers
 
 
@@ -454,7 +420,8 @@ def align(
 
     Raises:
         UsageError: an option makes no sense.
-        SceneError: the capture has too few points, or a picture cannot be read.
+        SceneError: the capture has too few points, a picture cannot be read, or sources of the
+            scale contradict each other.
         PrerequisiteError: what finds tags is not installed.
     """
     options = AlignOptions() if options is None else options
@@ -473,9 +440,7 @@ def align(
         capture,
         capture_folder,
         options,
-        heights=gravity.heights,
-        lower=gravity.lower,
-        has_floor=gravity.has_floor,
+        gravity=gravity,
         surface=None
         if mesh is None or not options.lengths
         else RayScene(moved_mesh(np.eye(4), *mesh)),
@@ -483,16 +448,17 @@ def align(
         say=say,
     )
     for cue in scale.cues:
-        used = "used" if cue.used else "not used"
-        if scale.cues[0].used and not cue.used:
-            used = f"{cue.difference:+.1%}"
-        say(f"scale by {cue.name}: {cue.scale:.5g} m, {used}; {cue.reason}")
+        used = f"{cue.difference:+.1%}" if cue.used else "not used"
+        say(
+            f"scale by {cue.name}: {cue.scale:.5g} m, {used}, known to "
+            f"{min(cue.uncertain or 0.0, 9.99):.0%}; {cue.reason}"
+        )
     if scale.uncertain is not None:
-        say(f"the scale is known to {scale.uncertain:.1%}, nine times out of ten")
+        say(f"scale: {scale.scale:.5g} m a unit, known to {scale.uncertain:.1%} (95 %)")
     warnings = (
         *gravity.warnings,
         *scale.warnings,
-        *_disagreements(gravity.cues, scale.cues),
+        *_disagreements(gravity.cues),
     )
     for warning in warnings:
         say(f"warning: {warning}")
@@ -553,13 +519,9 @@ def _axis(name: UpAxis) -> Values:
     return axis
 
 
-def _disagreements(gravity: tuple[GravityCue, ...], scales: tuple[ScaleCue, ...]) -> list[str]:
+def _disagreements(gravity: tuple[GravityCue, ...]) -> list[str]:
     return [
         f"up by {cue.name} is {cue.degrees:.1f} degrees off ({cue.reason})"
         for cue in gravity
         if cue.degrees > max(MOST_DEGREES, 2.0 * cue.uncertain)
-    ] + [
-        f"the scale by {cue.name} differs by {cue.difference:+.1%} from that by {scales[0].name}"
-        for cue in scales
-        if scales[0].used and abs(cue.difference) > MOST_DIFFERENCE
     ]

@@ -29,7 +29,7 @@ MOST_DEGREES = 2.0
 """A cue for gravity that is further off, and by more than twice what it is unsure, is warned of."""
 
 MOST_DIFFERENCE = 0.03
-"""A cue for scale that differs by more is warned of."""
+"""Tags, or lengths, that differ among themselves by more are warned of, or refused."""
 
 _POINT = re.compile(r"(.+?):([0-9]+(?:\.[0-9]+)?),([0-9]+(?:\.[0-9]+)?)(?:\+|$)")
 """A photograph's name and a pixel of it; `+` before the next."""
@@ -215,12 +215,12 @@ class ScaleCue:
     """One answer to how long a unit of the capture is.
 
     Attributes:
-        name: `tag`, `camera height`, `height`, `poses`, `positions` or `length`.
+        name: `tag`, `camera height`, `poses`, `positions` or `length`.
         scale: metres in a unit.
         difference: relative to the chosen scale; 0.01 is one percent more.
-        used: whether it is the chosen one.
+        used: whether it counts: nothing else refutes it.
         reason: what it is and how sure, for people.
-        uncertain: relative error that it has nine times out of ten at most; None in a file that
+        uncertain: relative error that it claims to have with 95 % at most; None in a file that
             does not say.
     """
 
@@ -243,14 +243,13 @@ class Alignment:
         scale: metres in a unit of the capture; where nothing gives a scale, such that the cameras
             are as high above the floor as people hold them.
         gravity: each cue's answer.
-        scales: each cue's answer, the chosen one first; none is used where nothing gives a scale,
-            or where they contradict each other.
+        scales: each cue's answer, the best known first; none is used where nothing gives a scale.
         floor_share: of the points, those on the mesh with them, which lies on the floor.
         warnings: what somebody should look at.
         up_uncertain: angle within which up lies with 95 %, degrees; None in a file that
             does not say.
-        scale_uncertain: relative error of the scale, nine times out of ten at most; None where
-            nothing gives one.
+        scale_uncertain: relative error that the scale has with 95 % at most; None where nothing
+            gives one.
     """
 
     T_metric_capture: NDArray[np.float64]

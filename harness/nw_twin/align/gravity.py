@@ -194,6 +194,7 @@ class GravityAnswer:
         floor_share: of the points, those on the mesh with them, which lies on it.
         has_floor: whether a level plane was found there; else it is as high as the lowest points.
         heights: (V,) of the cameras above the floor, along `up`, in the capture's unit.
+        slope: of that plane, degrees; 0 without one.
         lower: share of the cameras' median height by which the lowest points lie below the floor.
         uncertain: angle within which up lies with 95 %, degrees.
         cues: what each says.
@@ -205,6 +206,7 @@ class GravityAnswer:
     floor_share: float
     has_floor: bool
     heights: Values
+    slope: float
     lower: float
     uncertain: float
     cues: tuple[GravityCue, ...]
@@ -280,15 +282,17 @@ def find_gravity(
         solution = solution.by_floor(plane.normal)
         up = solution.up
     heights = np.einsum("ni,i->n", capture.centres, up) - floor.height
-    lower = 0.0
+    lower = slope = 0.0
     if plane is not None:
         heights = plane.distances(capture.centres) / float(plane.normal @ up)
+        slope = math.degrees(math.acos(min(1.0, float(plane.normal @ up))))
         deep = -float(np.quantile(plane.distances(cloud), _LOWEST)) - tolerance
         lower = max(0.0, deep) / max(float(np.median(heights)), 1e-12)
     return GravityAnswer(
         up=up,
         floor=float(centres[0] @ up - heights[0]),
         heights=heights,
+        slope=slope,
         lower=lower,
         floor_share=floor.share,
         has_floor=plane is not None,

@@ -35,7 +35,10 @@ _FORMATS: Mapping[str, tuple[Mapping[str, float], float]] = {
     ),
     # OBJ names no axis: of phones and games it is +y, of surveyors +z.
     ".obj": ({"+y": 0.5, "+z": 0.35, "-y": 0.015, "-z": 0.01, "+x": 0.01, "-x": 0.01}, 0.2),
+    # Of a splat, that of the first camera or of COLMAP, whose y points down, or an app's.
+    ".splat": ({"-y": 0.3, "+y": 0.25, "+z": 0.25, "-z": 0.03, "+x": 0.01, "-x": 0.01}, 0.2),
     ".las": ({"+z": 0.97, "+y": 0.005, "-z": 0.005}, 0.02),  # Map coordinates and a height.
+    ".e57": ({"+z": 0.97, "+y": 0.005, "-z": 0.005}, 0.02),  # Scanners are level.
     ".laz": ({"+z": 0.97, "+y": 0.005, "-z": 0.005}, 0.02),
 }
 """How probable it is that each axis is up, the rest being the frame of a camera, or of nothing; and

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_base.errors import SceneError, SuiteError, UsageError
+from nw_base.errors import SceneError, StoreError, SuiteError, UsageError
 from nw_base.files.cache import atomic_path, check_place
 from nw_eval.api import check_scenes
 from nw_eval.suite.load import check_has_policy, load_suite
@@ -364,7 +364,7 @@ class Build:
         try:
             scene = load_folder(folder.scene, needs_scale=False)
             write_page(folder, scene, self._robot(), findings, survey)
-        except SceneError as error:
+        except (SceneError, StoreError) as error:
             self._say(f"check: no page: {error}")
         else:
             self._say(f"check: pictures, and how well all is known: {folder.page}")
@@ -516,7 +516,7 @@ def _training(capture: Capture, settings: BuildSettings) -> tuple[float, float]:
     least, each, pixel = _STEP_S
     pixels = _pixels(capture, options.longest) * (1.0 - 0.75 * COARSE)
     step = least + each * options.most / 2 + pixel * pixels
-    return options.iterations * step, 0.4e9 + options.most * _GAUSSIAN_BYTES
+    return options.steps(len(capture.shots)) * step, 0.4e9 + options.most * _GAUSSIAN_BYTES
 
 
 def _pixels(capture: Capture, longest: int) -> float:

@@ -24,7 +24,7 @@ Another scale needs no other splat."""
 _FORMATS: dict[Stage, int] = {
     "calibrate": 5,
     "reconstruct": 7,
-    "align": 4,
+    "align": 5,
     "splat": 7,
     "place": 10,
 }

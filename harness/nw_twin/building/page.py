@@ -59,6 +59,8 @@ _MARGIN = 2.0
 """m around the course that the view from above has at least."""
 _OVER = 0.2
 """m above the highest camera from which one looks down: below most ceilings."""
+_MOST = 1e6
+"""Of a number of a report; what is larger, or no number, is damaged."""
 _LIGHT = np.array([0.3, 0.2, 0.93])
 """Where light comes from, of about unit length."""
 
@@ -411,4 +413,4 @@ def _facts(path: Path) -> dict[str, Any]:
 
 def _number(facts: dict[str, Any], key: str, form: str) -> str:
     value = facts.get(key)
-    return form.format(value) if isinstance(value, int | float) else ""
+    return form.format(value) if isinstance(value, int | float) and abs(value) < _MOST else ""

@@ -70,7 +70,8 @@ class Photo:
     def halved(self) -> Photo:
         """Return it with half as many pixels each way; a last odd row or column is left out.
 
-        Colours are means of four pixels. Depth is one pixel's: between two surfaces there is none.
+        Colours are means of four pixels, and known where the mask has all four. Depth is one
+        pixel's: between two surfaces there is none.
         """
         height, width = self.rgb.shape[0] // 2, self.rgb.shape[1] // 2
         four = self.rgb[: 2 * height, : 2 * width].reshape(height, 2, width, 2, 3)
@@ -82,11 +83,13 @@ class Photo:
             for name, array in (
                 ("inverse_depth", self.inverse_depth),
                 ("confidence", self.confidence),
-                ("mask", self.mask),
             )
         }
+        mask = self.mask
+        if mask is not None:
+            mask = mask[: 2 * height, : 2 * width].reshape(height, 2, width, 2).all(axis=(1, 3))
         smaller = replace(camera, width=width, height=height, **half)
-        return replace(self, camera=smaller, rgb=rgb, **others)
+        return replace(self, camera=smaller, rgb=rgb, mask=mask, **others)
 
     def rays(self) -> NDArray[np.float64]:
         """Return (H, W, 3) unit vectors from the camera through the pixels, in the world."""

@@ -53,6 +53,7 @@ def write_looks(
     *,
     splat: Path | None,
     splat_transform: Path | None,
+    is_own: bool = False,
     most: int,
     way: Values,
 ) -> list[str]:
@@ -65,6 +66,7 @@ def write_looks(
         T: (4, 4) similarity from its file to the world.
         splat: Gaussians of the same scene; None = they are made of the mesh's colours.
         splat_transform: as `ScanOptions` has it.
+        is_own: whether the mesh was drawn through this splat, and so is in its frame.
         most: Gaussians that are made of colours.
         way: (K, 3) start and waypoints, world, m, along which they lie finest.
 
@@ -78,7 +80,9 @@ def write_looks(
     """
     if splat is not None:
         gaussians = read_splat(splat)
-        T_mesh_splat, words = _beside(painted, T, gaussians, splat, splat_transform)
+        T_mesh_splat, words = np.eye(4), "the splat shows itself"
+        if not is_own:
+            T_mesh_splat, words = _beside(painted, T, gaussians, splat, splat_transform)
         if what_is(splat) == "file" and splat.suffix.lower() in _KEPT:
             name = SPLAT.replace(".ply", splat.suffix.lower())
             shutil.copyfile(splat, staged / name)

@@ -1,6 +1,6 @@
 """Point clouds of scanners and phones, to meshes: a surface is drawn through the points.
 
-PLY files without faces, and LAS and LAZ. Points are thinned to an even spacing, get normals of one
+PLY files without faces, LAS, LAZ and E57. Points are thinned to an even spacing, get normals of one
 side, and a surface by Poisson's equation (Kazhdan and Hoppe, "Screened Poisson Surface
 Reconstruction", 2013), which is kept where points are near.
 """
@@ -21,11 +21,15 @@ from nw_base.plural import plural
 from nw_scenes.limits import MESH_FACES
 from nw_scenes.mesh_file import PaintedMesh
 from nw_scenes.mesh_parts import Material
+from nw_twin.align.planes import find_planes
 from nw_twin.packages import package
+from nw_twin.scans.converted import PLY, SCANNER, converted, named_as
+from nw_twin.scans.splat_points import SPLAT_SUFFIXES, points_of_splat
 
 Values = NDArray[np.float64]
 
 LAS_SUFFIXES = (".las", ".laz")
+CLOUD_SUFFIXES = (*LAS_SUFFIXES, ".e57", *SPLAT_SUFFIXES)
 """Of files that hold point clouds alone; a PLY may hold one, too."""
 
 _MOST = 20_000_000
@@ -45,11 +49,17 @@ _SIDE = 12
 """Neighbours that are brought to one side."""
 _NEAR = 3.0
 """Spacings from a point up to which the surface is kept: a hole twice as wide is closed."""
+_COMPANY, _FLOATS = 8, 3.0
+"""Of a splat, a point floats that has fewer neighbours within so many spacings."""
+_CRUMB = 0.01
+"""Of a splat, pieces of the surface that have fewer triangles of the largest one's are left out."""
 _DEEPEST = 11
 _STEEP = 0.94
 """Cosine of the angle to an axis up to which a normal looks along it."""
-_OVER = 1.5
-"""Times as many points of the usual axis that must lie in planes across another one."""
+_FLAT = 0.01
+"""Of the extent, how far off a plane a point of it lies."""
+_TOLD = 0.02
+"""Share of the points by which more of them tell one side from the other, for it to be told."""
 _LOW = 0.3
 """Share of the level points, from below, that are ground."""
 _LESS = 400_000
@@ -64,6 +74,7 @@ class Cloud:
         points: (N, 3) float64; finite.
         normals: (N, 3) of unit length; None = the file has none.
         colours: (N, 3) float64, 0 to 1; None = the file has none.
+        seen_from: (N, 3) where the scanner stood; None = the file does not say.
         unread: what of the file was not read, in words.
     """
 
@@ -71,23 +82,29 @@ class Cloud:
     normals: Values | None
     colours: Values | None
     unread: tuple[str, ...]
+    seen_from: Values | None = None
 
 
 def is_cloud(source: Path) -> bool:
-    """Whether a file holds points and no faces; a PLY of Gaussians is a splat, and none.
+    """Whether a file holds points and no faces; Gaussians, too, have points on their surfaces.
 
     Raises:
         SceneError: a PLY cannot be read.
     """
-    if source.suffix.lower() in LAS_SUFFIXES:
+    if source.suffix.lower() in CLOUD_SUFFIXES:
         return True
     if source.suffix.lower() != ".ply" or not source.is_file():
         return False
     ply = Ply.open(source)
-    names = _names(ply)
     has_faces = any(len(ply.elements.get(one, ())) for one in ("face", "tristrips"))
-    is_splat = bool({"f_dc_0", "packed_position"} & names)
-    return {"x", "y", "z"} <= names and not has_faces and not is_splat
+    return is_splat(source) or ({"x", "y", "z"} <= _names(ply) and not has_faces)
+
+
+def is_splat(source: Path) -> bool:
+    """Whether a file holds Gaussians."""
+    if source.suffix.lower() != ".ply":
+        return source.suffix.lower() in SPLAT_SUFFIXES
+    return bool({"f_dc_0", "packed_position"} & _names(Ply.open(source)))
 
 
 def _names(ply: Ply) -> set[str]:
@@ -96,18 +113,26 @@ def _names(ply: Ply) -> set[str]:
 
 
 def read_cloud(source: Path) -> Cloud:
-    """Read the points of a PLY, LAS or LAZ.
+    """Read the points of a PLY, LAS, LAZ or E57, or points on the surfaces of a splat.
 
     Raises:
         SceneError: it is damaged, or has too few or too many points.
-        PrerequisiteError: the package that reads LAS is not installed.
+        PrerequisiteError: the package that reads LAS or E57 is not installed.
     """
     try:
         regular(source).stat()
     except (OSError, ValueError) as error:  # A path with a zero byte is a ValueError.
         reason = (isinstance(error, OSError) and error.strerror) or error
         raise SceneError(f"{source}: the points cannot be read: {reason}") from None
-    cloud = _read_las(source) if source.suffix.lower() in LAS_SUFFIXES else _read_ply(source)
+    if source.suffix.lower() == ".e57":
+        with converted(source) as (folder, _), named_as(source, folder / PLY):
+            cloud = _read_ply(folder / PLY)
+    elif is_splat(source):
+        points, colours, left = points_of_splat(source)
+        cloud = Cloud(points=points, normals=None, colours=colours, unread=tuple(left))
+    else:
+        is_las = source.suffix.lower() in LAS_SUFFIXES
+        cloud = _read_las(source) if is_las else _read_ply(source)
     whole = np.asarray(np.isfinite(cloud.points).all(axis=1))
     if (most := float(np.abs(cloud.points[whole]).max(initial=0.0))) > _FARTHEST:
         raise SceneError(
@@ -150,6 +175,7 @@ def read_cloud(source: Path) -> Cloud:
         points=cloud.points[whole],
         normals=None if cloud.normals is None else cloud.normals[whole],
         colours=None if cloud.colours is None else cloud.colours[whole],
+        seen_from=None if cloud.seen_from is None else cloud.seen_from[whole],
     )
 
 
@@ -163,14 +189,16 @@ def _read_ply(source: Path) -> Cloud:
         return np.stack([table[one].astype(np.float64) for one in wanted], axis=-1)
 
     points, shades = columns("x", "y", "z"), columns("red", "green", "blue")
-    assert points is not None, "is_cloud says so"
+    if points is None:
+        raise SceneError(f"{source}: no points are in it", fix="export it again, with its points")
     if shades is not None:
         shades = _shares(shades, is_byte=table.dtype["red"] == np.uint8)
-    known = {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha"}
+    known = {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha", *SCANNER}
     return Cloud(
         points=points,
         normals=columns("nx", "ny", "nz"),
         colours=shades,
+        seen_from=columns(*SCANNER),
         unread=tuple(sorted(names - known)),
     )
 
@@ -222,8 +250,7 @@ def surfaced(source: Path, up: str) -> tuple[PaintedMesh, list[str]]:
 
     Args:
         source: a file that `is_cloud`.
-        up: axis of the file that is up, such as `+z`, or `auto`: then the one that most level
-            surfaces lie across, and +z in doubt.
+        up: axis of the file that is up, such as `+z`; `auto` = it is not known.
 
     Raises:
         SceneError: it is damaged, or no surface can be drawn through it.
@@ -245,11 +272,18 @@ def surfaced(source: Path, up: str) -> tuple[PaintedMesh, list[str]]:
             f"{source}: its {len(cloud.points):,} points lie in {places}: too few for a surface",
             fix="export it denser, or as a mesh",
         )
+    if is_splat(source):
+        thinned = thinned.remove_radius_outlier(_COMPANY, _FLOATS * spacing)[0]
     if cloud.normals is None:
         thinned.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_ROUND))
-        _to_one_side(thinned, o3d, source)
-        _to_the_open(thinned, o3d, up)
+        if cloud.seen_from is None:
+            _to_one_side(thinned, o3d, source)
+            _to_the_open(thinned, o3d, up)
+        else:
+            _to_the_scanner(thinned, o3d, cloud.points - middle, cloud.seen_from - middle)
     mesh = _poisson(thinned, spacing, o3d)
+    if is_splat(source):
+        _without_crumbs(mesh)
     vertices = np.asarray(mesh.vertices).astype(np.float64) + middle
     faces = np.asarray(mesh.triangles).astype(np.int64)
     corners = vertices[faces]
@@ -318,22 +352,40 @@ def _to_one_side(cloud: Any, o3d: Any, source: Path) -> None:
     cloud.orient_normals_consistent_tangent_plane(_SIDE)
 
 
+def _to_the_scanner(cloud: Any, o3d: Any, points: Values, seen_from: Values) -> None:
+    """Turn each normal of a cloud to where the nearest of its points (N, 3) was seen from."""
+    middles, normals = np.asarray(cloud.points), np.asarray(cloud.normals)
+    nearest = package("scipy.spatial").cKDTree(points).query(middles)[1]
+    sense = np.einsum("ni,ni->n", normals, seen_from[nearest] - middles)
+    turned = normals * np.where(sense < 0.0, -1.0, 1.0)[:, None]
+    cloud.normals = o3d.utility.Vector3dVector(turned)
+
+
 def _to_the_open(cloud: Any, o3d: Any, up: str) -> None:
-    """Turn all normals over if the ground's point down: the lowest level points are ground."""
+    """Turn all normals over if they look into what is solid.
+
+    Nearly all of a scan lies on the open side of its floors and walls. Where it is as flat as its
+    largest plane, or somebody says what is up, that is up.
+    """
     normals, points = np.asarray(cloud.normals), np.asarray(cloud.points)
+    sense = 0.0
     if up == "auto":
-        along = (np.abs(normals) >= _STEEP).mean(axis=0)
-        best = int(np.argmax(along))
-        axis = best if along[best] > _OVER * along[2] else 2
-        sign = 1.0
-    else:
-        axis, sign = "xyz".index(up[1]), 1.0 if up[0] == "+" else -1.0
-    level = np.abs(normals[:, axis]) >= _STEEP
-    if not level.any():
-        return
-    heights = sign * points[level, axis]
-    low = heights <= np.quantile(heights, _LOW)
-    if float(np.sign(sign * normals[level, axis])[low].sum()) < 0.0:
+        tolerance = _FLAT * float(np.linalg.norm(points.std(axis=0)))
+        for plane in find_planes(points, tolerance, np.random.default_rng(0)):
+            away = plane.distances(points)
+            facing = (normals @ plane.normal)[np.abs(away) <= tolerance]
+            along = np.sign(facing[np.abs(facing) >= _STEEP])
+            open_side = float((away > 3.0 * tolerance).mean() - (away < -3.0 * tolerance).mean())
+            sense += open_side * float(along.sum())
+    if abs(sense) < _TOLD * len(points):
+        axis, sign = (
+            ("xyz".index(up[-1]), -1.0 if up[0] == "-" else 1.0) if up != "auto" else (2, 1.0)
+        )
+        level = np.abs(normals[:, axis]) >= _STEEP
+        heights = sign * points[level, axis]
+        low = heights <= np.quantile(heights, _LOW) if level.any() else level[level]
+        sense = float(np.sign(sign * normals[level, axis])[low].sum())
+    if sense < 0.0:
         cloud.normals = o3d.utility.Vector3dVector(-normals)
 
 
@@ -354,3 +406,11 @@ def _poisson(cloud: Any, spacing: float, o3d: Any) -> Any:
         mesh = mesh.simplify_quadric_decimation(most)
     mesh.remove_duplicated_vertices().remove_duplicated_triangles()
     return mesh.remove_degenerate_triangles().remove_unreferenced_vertices()
+
+
+def _without_crumbs(mesh: Any) -> None:
+    """Remove what floats apart from all else, and is small."""
+    number, counts, _ = mesh.cluster_connected_triangles()
+    counts = np.asarray(counts)
+    mesh.remove_triangles_by_mask(counts[np.asarray(number)] < _CRUMB * counts.max())
+    mesh.remove_unreferenced_vertices()

@@ -39,8 +39,9 @@ from nw_sim.survey.ground import holes_along
 from nw_twin.align.upright import AXES, up_of_mesh
 from nw_twin.course import HALF_WIDTH
 from nw_twin.place import SUITE, Route, check_scene_name, moved_points
+from nw_twin.scans.converted import USD_SUFFIXES, read_stage
 from nw_twin.scans.looks import write_looks
-from nw_twin.scans.points import LAS_SUFFIXES, is_cloud, surfaced
+from nw_twin.scans.points import CLOUD_SUFFIXES, is_cloud, is_splat, surfaced
 from nw_twin.walkable import Walkable, walkable
 
 Values = NDArray[np.float64]
@@ -88,7 +89,7 @@ class ScanOptions:
         up: which axis of the file is up; `auto` is by all cues together: what the format says, the
             mesh's planes, and how it lies.
         splat: Gaussians of the same scene, such as the same app exports; None = they are made of
-            the mesh's colours, if it has some.
+            the mesh's colours, if it has some. A splat that is imported alone shows itself.
         splat_transform: a text file of 16 numbers, the 4 x 4 matrix from the splat's numbers to
             the mesh's; None = it is found among the turns by right angles.
         gaussians: most that are made of a mesh's colours.
@@ -140,8 +141,8 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
     """Write the scene folder of a scan, and a suite beside it; whole or not at all.
 
     Args:
-        source: a mesh (GLB, OBJ, PLY, STL), a point cloud (PLY, LAS, LAZ), or an elevation map
-            (PNG, GeoTIFF).
+        source: a mesh (GLB, USDZ, OBJ, PLY, STL), a point cloud (PLY, LAS, LAZ, E57), a splat
+            (PLY, SPZ, SOG), or an elevation map (PNG, GeoTIFF).
         out: the folder, which must not be there.
         options: how it is to be understood.
 
@@ -149,7 +150,7 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
         UsageError: an option makes no sense of this file, or `out` is in use.
         SceneError: a file cannot be read, or the scene cannot be loaded.
         StoreError: it cannot be written.
-        PrerequisiteError: a package that point clouds need is not installed.
+        PrerequisiteError: a package that point clouds or USD need is not installed.
     """
     options = ScanOptions() if options is None else options
     check_new(out)
@@ -189,8 +190,9 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
             text,
             scan.painted,
             T,
-            splat=options.splat,
+            splat=source if scan.is_splat else options.splat,
             splat_transform=options.splat_transform,
+            is_own=scan.is_splat,
             most=options.gaussians,
             way=np.vstack([course.spawn, course.trail]),
         )
@@ -221,9 +223,11 @@ class _Scan:
     """(4, 4), but for the height of the floor."""
     fault: str | None
     """What contradicts about which way is up."""
+    is_splat: bool = False
+    """Whether its file holds Gaussians, which are its looks then."""
 
 
-_SURFACES = (*MESH_SUFFIXES, *LAS_SUFFIXES)
+_SURFACES = (*MESH_SUFFIXES, *USD_SUFFIXES, *CLOUD_SUFFIXES)
 _OF_MAPS = ("cell", "white", "black", "no_data")
 _OF_MESHES = ("up", "unit", "gaussians")
 
@@ -258,7 +262,7 @@ def _check_used(source: Path, options: ScanOptions) -> None:
 def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
     suffix = source.suffix.lower()
     lines: list[str] = []
-    fault = None
+    fault, axes = None, suffix
     if suffix in ELEVATION_SUFFIXES:
         elevation = read_elevation(
             source,
@@ -288,13 +292,23 @@ def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
         )
         T_file = np.eye(4)
     elif suffix in _SURFACES:
-        if is_cloud(source):
+        if suffix in USD_SUFFIXES:
+            painted, up, drawn = read_stage(source)
+            axes = ".glb" if up == "+y" else ".las"
+            lines += drawn
+        elif is_cloud(source):
             painted, drawn = surfaced(source, options.up)
             lines += drawn
+            if is_splat(source):
+                axes = ".splat"
+                lines.append(
+                    "a splat alone: most are trained in a unit of their own, so compare the size "
+                    "above with a length that you know; two clicks in `nw-eval twin label` scale it"
+                )
         else:
             painted = read_painted(source)
         lines += [f"{one.message}" for one in painted.findings]
-        T_file, words, fault = _upright(painted, source, options)
+        T_file, words, fault = _upright(painted, axes, options)
         lines += words
     else:
         raise unread(source, (*_SURFACES, *ELEVATION_SUFFIXES))
@@ -319,7 +333,7 @@ def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
     if wide > _ODDLY_WIDE:
         unit = _unit(painted, options)
         lines.append(f"it is {wide:.0f} m wide: if its numbers are no {unit}, give --unit")
-    return _Scan(painted=painted, T_world_file=T, fault=fault), lines
+    return _Scan(painted=painted, T_world_file=T, fault=fault, is_splat=axes == ".splat"), lines
 
 
 def shifted(offset: Values) -> Values:
@@ -337,13 +351,12 @@ def _unit(painted: PaintedMesh, options: ScanOptions) -> Unit:
 
 
 def _upright(
-    painted: PaintedMesh, source: Path, options: ScanOptions
+    painted: PaintedMesh, suffix: str, options: ScanOptions
 ) -> tuple[Values, list[str], str | None]:
     """Return (4, 4) from file to metres with z up, which way is up by what, and what is at odds.
 
-    The last is None where nothing is.
+    The last is None where nothing is. The suffix is that of a format with the axes of the file.
     """
-    suffix = source.suffix.lower()
     solved = up_of_mesh(painted.vertices.astype(np.float64), painted.faces, suffix)
     up = solved.up if options.up == "auto" else AXES[options.up]
     near = max(AXES, key=lambda name: float(AXES[name] @ up))
@@ -367,7 +380,7 @@ def _upright(
     if options.up == "auto":
         lines.append(f"up is known to {solved.uncertain:.1f} degrees (95 %)")
         if suffix == ".glb" and near != "+y":
-            lines.append("glTF has +y up by its standard: the planes of this file contradict it")
+            lines.append("its format has +y up: the planes of this file contradict it")
         if solved.uncertain > _SURE:
             likely = [f"{one} {share:.0%}" for one, share in solved.axes.items() if share >= 0.005]
             fault = (

@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportScan:
-    """Build a scene folder from a scan: a mesh, a point cloud, or an elevation map.
+    """Build a scene folder from a scan: a mesh, a point cloud, a splat, or an elevation map.
 
-    Meshes are GLB, OBJ, PLY or STL, point clouds PLY, LAS or LAZ, elevation maps PNG or GeoTIFF.
+    Meshes are GLB, USDZ, OBJ, PLY or STL, point clouds PLY, LAS, LAZ or E57, splats PLY, SPZ or
+    SOG, elevation maps PNG or GeoTIFF.
     The scene is in metres with z up, and the ground under the start is at z = 0. Colours become
     Gaussians for camera images. A suite is written beside the scene. The scene is checked as by
     `scenes check`; exit code 2 if it is not ready.
@@ -31,7 +32,7 @@ class ImportScan:
     out: Path
     """The scene's folder, which must not exist."""
     unit: Literal["auto", "m", "cm", "mm", "ft", "in"] = "auto"
-    """Unit of the mesh. auto uses the unit in the file's comments, else m."""
+    """Unit of the mesh. auto uses the unit in the file's comments or of its stage, else m."""
     up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
     """Up axis of the file. auto weighs the axes of the format, planes and what stands in rooms."""
     splat: Path | None = None

@@ -65,6 +65,7 @@ ELSEWHERE = {
     "nw_twin/calibrate/video.py": "works in a temporary folder",
     "nw_twin/label/published.py": "fills a temporary folder that appears by one rename",
     "nw_twin/label/files.py": "fills a temporary folder, whose files are moved when all fits",
+    "nw_twin/scans/converted.py": "runs confined, in a scratch folder",
     "nw_twin/scans/looks.py": "is given the temporary folder by `import_scan`",
     "nw_twin/reconstruct/reconstruct.py": "keeps what a program says, in a working folder",
     "nw_eval/view/live_page.py": "calls `save_played`, which uses `atomic_path`",

@@ -165,7 +165,6 @@ def test_junit_has_a_case_for_the_ladder(soft, tmp_path):
     assert 'type="regressed"' in text
 
 
-@pytest.mark.nightly
 def test_verify_covers_the_trials_of_the_ladder(soft, tmp_path):
     copied = tmp_path / "run"
     shutil.copytree(soft.folder, copied)

@@ -1,12 +1,14 @@
 """A suite that names the motion to track: its digest counts for trials, its faults have a place."""
 
 import re
+from types import SimpleNamespace
 
 import pytest
 import yaml
 
 from nw_base.errors import PolicyError, SuiteError
 from nw_eval import api
+from nw_eval.api.proposals import write_proposal
 from nw_eval.suite import load_suite
 
 STANDING = "0,0,0.257,0,0,0,1," + ",".join(
@@ -139,3 +141,37 @@ def test_a_run_is_resumed_with_the_motion_that_it_began_with(folder):
     (folder / "suite.yaml").write_text(yaml.safe_dump(saved))
     report = api.run(str(folder / "suite.yaml"), resume=out, workers=1)
     assert len(report.rows) == 2
+
+
+def test_a_motion_that_is_too_large_to_be_one_is_not_read(folder):
+    with (folder / "motions" / "stand.csv").open("wb") as file:
+        file.truncate(2**40)
+    with pytest.raises(SuiteError, match=r"task.motion.file: .* cannot be read: it has .* MiB"):
+        load_suite(folder / "suite.yaml")
+
+
+def test_a_fault_of_the_file_names_the_suite_and_not_the_card(folder):
+    changed(folder, ", rate: 1", "")
+    with pytest.raises(SuiteError, match=r"add `rate` to the suite's `task\.motion`"):
+        api.run(str(folder / "suite.yaml"), out=folder / "run", workers=1)
+    (folder / "tracker" / "own.csv").write_text(f"{STANDING}\n{STANDING}\n")
+    (folder / "tracker" / "policy.yaml").write_text(CARD + "reference: {file: own.csv}\n")
+    changed(folder, ", motion: {file: motions/stand.csv}", "")
+    with pytest.raises(PolicyError, match="add `rate` to the card's `reference`"):
+        api.run(str(folder / "suite.yaml"), out=folder / "run", workers=1)
+
+
+def test_a_suite_that_is_proposed_in_another_folder_has_the_same_task(folder):
+    plan = api.plan(str(folder / "suite.yaml"))
+    items = (SimpleNamespace(stratum=("open/field",), critical=False),)
+    proposal = SimpleNamespace(items=items, rounds=20, starts=10)
+    policy = SimpleNamespace(typed="", name="tracker")
+    file = folder / "proposed" / "sharp.yaml"
+    file.parent.mkdir()
+    write_proposal(file, plan, proposal, policy, [])
+    written = load_suite(file)
+    assert written.motion is not None
+    assert written.motion.samefile(folder / "motions" / "stand.csv")
+    assert written.task.model_dump(exclude={"motion"}) == plan.suite.task.model_dump(
+        exclude={"motion"}
+    )

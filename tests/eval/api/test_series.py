@@ -161,7 +161,6 @@ def test_a_trainings_folder_stands_for_its_checkpoints_between_the_two_ends(tmp_
         _of_folders([tmp_path / "empty"], "good", "bad")
 
 
-@pytest.mark.nightly
 def test_a_held_out_baseline_meets_its_own_policy_as_any_candidate(tmp_path, monkeypatch):
     """It is of other initial states, so that re-running a few of them would show nothing."""
     monkeypatch.chdir(tmp_path)

@@ -204,7 +204,6 @@ def test_a_file_that_changes_under_its_name_is_another_checkpoint(training):
     assert len({made.sha256 for made in found.checkpoints}) == 2
 
 
-@pytest.mark.nightly
 def test_each_second_step_is_evaluated(training):
     for step in (100, 200, 300):
         bad(training / f"model_{step}.onnx")

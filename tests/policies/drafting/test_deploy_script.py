@@ -59,6 +59,11 @@ def test_slices_give_terms_scales_and_frames(card_of):
     assert "which was read, not run" in text
 
 
+def test_a_script_may_begin_with_a_mark_of_its_encoding(card_of):
+    text, _ = card_of(270, beside("\ufeff" + SCRIPT), name=CHECKPOINT)
+    assert "which was read, not run" in text
+
+
 def test_its_settings_are_those_of_the_card(card_of):
     _, card = card_of(270, beside(), name=CHECKPOINT)
     control = card.control

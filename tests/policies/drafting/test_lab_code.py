@@ -2,6 +2,7 @@
 
 import json
 
+import pytest
 from tests.policies.drafting.test_beside import BY_TYPE, words
 
 DIRECT = """
@@ -100,6 +101,64 @@ def test_what_the_settings_do_not_decide_is_said(card_of):
     assert "CHECK: speed is another where self.steps > 100" in text
     assert "CHECK: its actions are filtered by those before" in text
     assert "mixed = 0.8 * self._actions" in text
+
+
+def test_of_a_method_the_first_return_that_is_come_to_counts(card_of):
+    early = (
+        "    def _guess(self):\n        if self.cfg.use_past:\n            return self._imu.data"
+    )
+    code = GUESSED.replace("    def _guess(self):\n", f"{early}.projected_gravity_b\n")
+    _, card = card_of(156, direct(code), name=CHECKPOINT)
+    assert words(card)[0] == "gravity"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "index", "scale"),
+    [
+        pytest.param("joint_vel * 0.05", "joint_vel * 0.05", 5, 0.05, id="behind"),
+        pytest.param(
+            "self._robot.data.joint_vel * 0.05", "0.1 * self._robot.data.joint_vel", 5, 0.1,
+            id="before",
+        ),
+    ],
+)  # fmt: skip
+def test_a_factor_may_stand_on_either_side_of_a_reading(old, new, index, scale, card_of):
+    _, card = card_of(156, direct(GUESSED.replace(old, new)), name=CHECKPOINT)
+    term = card.observations["obs"].frame_terms[index]
+    assert (term.term, term.scale) == ("joint_vel", scale)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        pytest.param("seen[:, 0:3] = 0.0", id="in a part"),
+        pytest.param("seen *= 3.0", id="in place"),
+        pytest.param("clock[:, 0] = 0.0", id="a clock"),
+    ],
+)
+def test_what_is_changed_before_it_is_seen_is_not_told(changed, card_of):
+    past = "        if self.cfg.use_past:\n"
+    speed = "        speed = self._guess()\n"
+    lines = f"        {changed}\n"
+    code = (
+        GUESSED.replace(speed, lines + speed)
+        if "clock" in changed
+        else GUESSED.replace(past, lines + past)
+    )
+    assert code != GUESSED
+    text, card = card_of(156, direct(code), name=CHECKPOINT)
+    assert "clock" not in words(card)
+    assert "ZEROS STAND FOR" in text or "names its terms" not in text
+
+
+@pytest.mark.parametrize("file", [CODE, "../../../walk.py"])
+def test_code_that_is_too_large_to_be_read_is_not_read(file, card_of, tmp_path):
+    place = tmp_path / "repo" / file.removeprefix("../../../")
+    place.parent.mkdir(parents=True)
+    with place.open("wb") as sparse:
+        sparse.truncate(2**40)
+    text, _ = card_of(45, {"../../../setup.py": ""}, name=CHECKPOINT)
+    assert "was read, not run" not in text
 
 
 def test_nothing_of_a_direct_environment_is_run(card_of, tmp_path, monkeypatch):

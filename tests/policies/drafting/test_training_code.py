@@ -3,6 +3,8 @@
 import pytest
 from tests.policies.drafting.test_beside import GYM, LEFT_FIRST, words
 
+from nw_policies.drafting.feeders import may_feed
+
 REGISTER = """
 from sim.registry import task_registry
 from .go2_config import Go2Cfg, Go2CfgPPO, Go2StairsCfg
@@ -188,11 +190,12 @@ def test_loops_over_lists_and_ranges_fill_the_mappings_of_settings(card_of):
 
 
 def test_frames_that_follow_the_present_one_are_newest_first(card_of):
-    _, card = card_of(270, beside(), name=CHECKPOINT)
+    text, card = card_of(270, beside(), name=CHECKPOINT)
     assert words(card) == ["command", "ang_vel", "gravity", "joint_pos", "joint_vel", "last_output"]
     history = seen(card).history
     assert (history.steps, history.order, history.by) == (6, "newest_first", "step")
     assert (card.control.rate, card.control.physics_rate) == (50, 200)
+    assert "names its terms" in text, "it is no guess from the size"
 
 
 def test_nothing_of_the_code_is_run(card_of, tmp_path, monkeypatch):
@@ -266,6 +269,17 @@ def test_code_outside_of_the_repository_is_not_looked_at(root, card_of):
         pytest.param(f"x = {'(' * 150}1{')' * 150}\n", id="deep"),
         pytest.param(CONFIG.replace("6 * 45", "9 ** 9 ** 9 ** 9"), id="a large number"),
         pytest.param(CONFIG.replace("12\n", "None or 12\n", 1), id="what is computed"),
+        pytest.param(CONFIG.replace("= 47", "= None").replace("int(f", "141 or (f"), id="none"),
+        pytest.param(
+            CONFIG + f"    x = f'{{0x{'f' * 9000}}}'\n", id="more digits than Python says"
+        ),
+        pytest.param(CONFIG.replace("0.001", f"float(0x{'f' * 900})"), id="no float has it"),
+        pytest.param(CONFIG.replace("0.001", "int(1e999)"), id="infinite"),
+        pytest.param(
+            "".join(f"class B{n}({', '.join([f'B{n + 1}'] * 9)}): pass\n" for n in range(12))
+            + CONFIG.replace("(BaseCfg)", "(BaseCfg, B0)"),
+            id="many bases",
+        ),
         pytest.param(
             "class Go2Cfg:\n"
             + "".join(f"{' ' * (n + 1)}for x{n} in range(10**9):\n" for n in range(9))
@@ -277,3 +291,147 @@ def test_code_outside_of_the_repository_is_not_looked_at(root, card_of):
 def test_odd_code_is_no_fault_of_the_draft(odd, card_of):
     text, _ = card_of(141, beside(go2_config=odd), name=CHECKPOINT)
     assert "Traceback" not in text
+
+
+def test_a_register_that_is_too_large_to_be_one_is_not_read(card_of, tmp_path):
+    register = tmp_path / "repo" / "sim" / "envs" / "__init__.py"
+    register.parent.mkdir(parents=True)
+    with register.open("wb") as file:
+        file.truncate(2**40)
+    text, _ = card_of(270, {"../../setup.py": ""}, name=CHECKPOINT)
+    assert "whose code was read" not in text
+
+
+def test_a_checkpoint_that_is_too_large_to_be_one_is_not_read_beside_another(tmp_path):
+    for name, size in (("policy.onnx", 2**40), ("other.onnx", 9)):
+        with (tmp_path / name).open("wb") as file:
+            file.truncate(size)
+    assert may_feed(tmp_path / "policy.onnx") == []
+    assert may_feed(tmp_path / "other.onnx") == []
+
+
+def test_a_frame_of_nothing_is_no_fault_of_the_draft(card_of):
+    empty = ENVIRONMENT.replace("self.projected_gravity,", "torch.cat(())[:, :3],")
+    text, _ = card_of(270, beside(go2_env=empty), name=CHECKPOINT)
+    assert "ZEROS STAND FOR" in text
+
+
+def draft_with(card_of, old, new, *, size=270, config=CONFIG):
+    assert old in ENVIRONMENT
+    files = beside(go2_env=ENVIRONMENT.replace(old, new), go2_config=config)
+    return card_of(size, files, name=CHECKPOINT)
+
+
+def test_limits_of_a_term_are_those_before_its_factor(card_of):
+    clipped = "torch.clip(self.dof_vel * 0.5, -2., max=2.),"
+    _, card = draft_with(card_of, "self.dof_vel, self.actions,", f"{clipped} self.actions,")
+    joint_vel = seen(card).frame_terms[4]
+    assert (joint_vel.term, joint_vel.scale, joint_vel.clip) == ("joint_vel", 0.5, (-4, 4))
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        pytest.param("now[:, 0:3] = 0.", id="in a part"),
+        pytest.param("now *= 3.0", id="in place"),
+        pytest.param("now[:, 3:6] *= 3.0", id="in a part, in place"),
+    ],
+)
+def test_terms_that_are_changed_after_they_are_joined_are_not_told(changed, card_of):
+    before = "        if self.add_noise:\n            now += (2"
+    text, _ = draft_with(card_of, before, f"        {changed}\n{before}")
+    assert "names its terms" not in text
+
+
+def test_a_part_that_does_not_begin_at_the_first_number_is_unknown(card_of):
+    config = CONFIG.replace("num_single_obs = 47", "num_single_obs = 49")
+    terms = "self.actions, self.commands[:, 1:3], imu)"
+    text, card = draft_with(card_of, "self.actions, imu)", terms, size=147, config=config)
+    assert "THESE 2 ZEROS STAND FOR self.commands[:, 1:3]" in text
+    assert words(card)[5:8] == ["last_output", "constant", "ang_vel"]
+
+
+@pytest.mark.parametrize(
+    ("method", "is_known"),
+    [
+        pytest.param("return self.dof_vel", True, id="a term"),
+        pytest.param("return now", False, id="what has a name of another method"),
+        pytest.param(f"return {' + '.join(['self.more()'] * 300)}", False, id="itself, many times"),
+    ],
+)
+def test_a_method_that_is_called_gives_what_it_returns(method, is_known, card_of):
+    called = f"class BlindEnv(Robot):\n    def more(self):\n        {method}\n"
+    code = ENVIRONMENT.replace("class BlindEnv(Robot):\n", called)
+    assert "self.dof_vel, self.actions,\n                         self.base" in code
+    code = code.replace("self.dof_vel, self.actions,\n      ", "self.more(), self.actions,\n      ")
+    text, _ = card_of(270, beside(go2_env=code), name=CHECKPOINT)
+    assert ("names its terms" in text) is is_known
+
+
+def test_constants_of_a_module_are_those_that_a_file_imports(card_of):
+    config = "from .stiff import KP\n" + CONFIG.replace("'joint': 20.", "'joint': KP")
+    files = beside(go2_config=config, a_copy="KP = 99.\n", stiff="KP = 21.\n")
+    _, card = card_of(141, files, name=CHECKPOINT)
+    assert card.control.kp == 21
+
+
+@pytest.mark.parametrize("angle", ["2 * torch.pi * phase + torch.pi", "phase", "torch.pi * phase"])
+def test_a_clock_turns_once_in_a_period_from_0_or_is_unknown(angle, card_of):
+    text, card = draft_with(card_of, "sin(2 * torch.pi * phase)", f"sin({angle})", size=141)
+    assert f"ZEROS STAND FOR torch.sin({angle})" in text
+    assert words(card)[:2] == ["constant", "clock"]
+
+
+def test_frames_in_an_order_that_is_not_known_are_no_terms(card_of):
+    back = "in reversed(range(self.frames.maxlen))"
+    text, _ = draft_with(card_of, "in range(self.frames.maxlen)", back, size=141)
+    assert "names its terms" not in text
+
+
+HEIGHTS = "torch.clip(self.root_states[:, 2].unsqueeze(1) - 0.3 - self.measured_heights, -2, 1.)"
+GRID = """class Go2StairsCfg(Go2Cfg):
+    class terrain:
+        measured_points_x = [-0.5, 0.0, 0.5, 1.0]
+        measured_points_y = [-0.5, 0, 0.5]
+"""
+
+
+def scanning(card_of, grid):
+    """A draft for a policy that sees heights, in 57 numbers."""
+    config = CONFIG.replace("class Go2StairsCfg(Go2Cfg):\n", grid).replace("6 * 45", "57")
+    terms = f"self.projected_gravity, {HEIGHTS} * 5.0,"
+    config = config.replace("45", "57")
+    return draft_with(card_of, "self.projected_gravity,", terms, size=57, config=config)
+
+
+def test_a_scan_has_the_offset_and_the_limits_of_the_code(card_of):
+    _, card = scanning(card_of, GRID)
+    scan = next(each for each in card.observations.values() if each.sensor == "scandots")
+    assert (scan.offset, scan.clip, scan.wrap[0].scale) == (-0.3, (-2, 1), 5)
+    assert (scan.x, scan.y) == ((-0.5, 1, 4), (-0.5, 0.5, 3))
+
+
+def test_a_scan_whose_points_are_not_evenly_apart_is_unknown(card_of):
+    text, _ = scanning(card_of, GRID.replace("0.5, 1.0]", "0.2, 1.0]"))
+    assert "ZEROS STAND FOR" in text, "a card has no such grid"
+
+
+def test_of_two_bases_the_first_counts_most(card_of):
+    stiff = "class Stiff:\n    class control:\n        stiffness = {'joint': 99.}\n"
+    files = beside(go2_config=CONFIG + f"{stiff}class Both(Go2Cfg, Stiff):\n    pass\n")
+    files["../../sim/envs/__init__.py"] = REGISTER.replace(
+        "Go2Cfg, Go2CfgPPO,", "Both, Go2CfgPPO,"
+    ).replace("Go2Cfg()", "Both()")
+    _, card = card_of(141, files, name=CHECKPOINT)
+    assert card.control.kp == 20
+
+
+def test_of_classes_that_are_called_alike_the_imported_one_counts(card_of):
+    old = CONFIG.replace("'joint': 20.", "'joint': 99.")
+    _, card = card_of(141, beside(a_copy=old), name=CHECKPOINT)
+    assert card.control.kp == 20
+
+
+def test_a_file_may_begin_with_a_mark_of_its_encoding(card_of):
+    _, card = card_of(141, beside(go2_config="\ufeff" + CONFIG), name=CHECKPOINT)
+    assert card.control.kp == 20

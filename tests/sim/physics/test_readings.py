@@ -22,6 +22,7 @@ BEFORE_PHYSICS = {
     "nw_scenes/narrowphase/install.py",
     "nw_scenes/robots/compiled.py",
     "nw_scenes/robots/derived.py",
+    "nw_scenes/robots/own_mjcf.py",
     "nw_scenes/robots/looks.py",
     "nw_scenes/robots/standing.py",
 }

@@ -17,7 +17,8 @@ from nw_places.entries import has_variants
 from nw_scenes.robots import get_robot
 from nw_scenes.scene import Spawn
 from nw_sim.catalogue import get_scene, names
-from nw_sim.survey.course import course_findings, stance_of, start_finding, waypoints_at_start
+from nw_sim.survey.course import course_findings, stance_of
+from nw_sim.tasks.course import start_finding, waypoints_at_start
 
 OPEN = trimesh.util.concatenate(
     [box((-1.5, -1, -0.2), (5.5, 1, 0)), box((1.5, -1, -0.1), (2.5, 1, 0.1))]

@@ -8,6 +8,7 @@ from PIL import Image
 from rooms import about_z, capture, patch, similarity
 
 from nw_splat.camera import look_at
+from nw_twin.align.alignment import AlignOptions, KnownLength
 
 
 def tilted(rng, degrees):
@@ -111,16 +112,55 @@ def drawn(folder, found, lines):
 
 
 def place(seed, folder):
-    """Return a capture, the folder of its pictures or None, and the frame's T from metres."""
+    """Return a capture, its pictures' folder or None, T from metres, and what is true in metres.
+
+    That is its points (N, 3) and its shots' poses (V, 4, 4).
+    """
     rng = np.random.default_rng(seed)
     outdoor = rng.random() < 0.4
     points, poses = surfaces(rng, outdoor), shots(rng)
     # Edges are not bent: pictures show them through poses that are.
+    true = points, poses
     points, poses = bent(rng, points, poses)
     T = similarity(rng)
     names = [f"{i}.png" for i in range(len(poses))]
     found = capture(points, poses, T, files=names, size=(320, 240))
-    if rng.random() < 0.5:
-        return found, None, T
+    if rng.random() < 0.5 or folder is None:
+        return found, None, T, true
     drawn(folder, found, edges(rng) @ T[:3, :3].T + T[:3, 3])
-    return found, folder, T
+    return found, folder, T, true
+
+
+LIES = (0.3048, 3.281, 0.0254, 0.8, 1.25, 0.5, 2.0, 1.1, 0.93)
+"""Feet, inches, the inner or the outer edge of a tag, a diameter for a radius, a bent ruler."""
+
+
+def sources(rng, found, true, lies):
+    """Return options with a height, lengths and positions as people and phones know them.
+
+    Args:
+        rng: of what is given and how far it is off.
+        found: the capture.
+        true: its points and poses in metres.
+        lies: of the sources, so many are wrong altogether.
+    """
+    points, poses = true
+    kinds = rng.permutation(["height", "length", "length", "positions"])
+    off = [rng.choice(LIES) if n < lies else 1.0 for n in range(4)]
+    given = {"lengths": ()}
+    for kind, lie in list(zip(kinds, off, strict=True))[: rng.integers(lies + 1, 5)]:
+        if kind == "height":
+            given["camera_height"] = lie * 1.5 * math.exp(rng.normal(0, 0.05))
+        elif kind == "length":
+            a, b = rng.integers(len(points), size=2)
+            while (metres := float(np.linalg.norm(points[a] - points[b]))) < 1.0:
+                a, b = rng.integers(len(points), size=2)
+            ends = [tuple(found.points[end].tolist()) for end in (a, b)]
+            length = lie * metres * math.exp(rng.normal(0, 0.01))
+            given["lengths"] += (KnownLength(first=ends[0], second=ends[1], metres=length),)
+        else:
+            drift = lie * math.exp(rng.normal(0, 0.015))  # Of a phone's tracking.
+            spots = drift * (poses[:, :3, 3] + rng.normal(0, 0.01, (len(poses), 3)))
+            names = [shot.name for shot in found.shots]
+            given["positions"] = dict(zip(names, map(tuple, spots.tolist()), strict=True))
+    return AlignOptions(**given)

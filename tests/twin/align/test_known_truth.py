@@ -1,11 +1,12 @@
-"""Of ten claims about up nine are true, whatever they claim, in places whose up is known."""
+"""Of ten claims about up and scale nine are true, in places whose up and scale are known."""
 
 import numpy as np
 import pytest
-from known_truth import drawn, place
-from rooms import capture, degrees_off, patch, similarity, straight
+from known_truth import drawn, place, sources
+from rooms import capture, degrees_off, patch, scale_off, similarity, straight
 from twin_parts import grid, joined
 
+from nw_base.errors import SceneError
 from nw_twin.align.align import align
 from nw_twin.align.alignment import AlignOptions
 
@@ -18,7 +19,7 @@ HEIGHT = AlignOptions(camera_height=1.5)
 def test_nine_of_ten_stated_angles_hold_the_true_up(first, count, tmp_path):
     off, said = np.zeros((2, count))
     for number in range(count):
-        found, folder, T = place(first + number, tmp_path)
+        found, folder, T, _ = place(first + number, tmp_path)
         alignment = align(found, folder, options=HEIGHT)
         off[number], said[number] = degrees_off(alignment, T), alignment.up_uncertain
     assert (off <= said).mean() >= 0.9
@@ -29,6 +30,28 @@ def test_nine_of_ten_stated_angles_hold_the_true_up(first, count, tmp_path):
         wrong = (off > said)[claims].sum()
         assert wrong <= 0.1 * claims.sum() + 2, (low, high)
     assert (said < 2.0).mean() > 0.3  # What is vague everywhere says nothing.
+
+
+@pytest.mark.parametrize("lies", [0, 1])
+@pytest.mark.parametrize("count", [30, pytest.param(400, marks=pytest.mark.nightly)])
+def test_stated_scales_hold_the_truth_also_where_a_source_lies(lies, count):
+    rng = np.random.default_rng(17)
+    off, said, stopped = [], [], []
+    for number in range(count):
+        found, _, T, true = place(5000 + number, None)
+        try:
+            alignment = align(found, None, options=sources(rng, found, true, lies))
+        except SceneError as error:
+            stopped.append(str(error))
+            continue
+        # Where nothing else says anything a lie cannot be told.
+        if alignment.scale_uncertain is not None and len(alignment.scales) > lies:
+            off.append(abs(scale_off(alignment, T)))
+            said.append(alignment.scale_uncertain)
+    assert all(text.count(" m a unit") >= 2 for text in stopped)  # Both are named.
+    assert np.mean(np.array(off) <= said) >= 0.93
+    assert np.median(off) < 0.02
+    assert len(off) >= (0.3 if lies else 0.8) * count
 
 
 def test_edges_of_few_photographs_that_lean_do_not_outweigh_the_mesh(tmp_path):

@@ -9,7 +9,7 @@ from rooms import capture, degrees_off, patch, room, scale_off, similarity, stra
 from tags import picture, texture
 from twin_parts import grid
 
-from nw_base.errors import UsageError
+from nw_base.errors import SceneError, UsageError
 from nw_splat.camera import look_at
 from nw_twin.align.align import align
 from nw_twin.align.alignment import AlignOptions, KnownLength, words_of
@@ -261,36 +261,49 @@ def test_a_photograph_without_a_height_is_none_among_others_that_have_one(tmp_pa
     assert max(abs(up) for *_, up in places.values()) < 1.1
 
 
-def test_cues_that_disagree_by_more_than_three_percent_are_named():
+def test_all_sources_count_and_those_that_are_known_better_count_more():
     rng = np.random.default_rng(10)
     T, poses = similarity(rng, 1.0), walk(rng)
     options = AlignOptions(camera_height=1.4, metric=True)  # It was 1.5.
     alignment = align(capture(room(rng), poses, T), None, options=options)
     # A phone's tracking is known better than the height at which somebody held it.
     assert [cue.name for cue in alignment.scales] == ["poses", "camera height"]
-    assert any("scale by camera height differs by -" in warning for warning in alignment.warnings)
-    assert alignment.scale == alignment.scales[0].scale == 1.0
-    assert alignment.scale_uncertain == pytest.approx(0.033, abs=0.002)
+    assert 0.98 < alignment.scale < 1.0
+    assert all(cue.used for cue in alignment.scales)
+    assert 0.04 < alignment.scale_uncertain < 0.07
+    assert alignment.warnings == ()
 
 
-def test_two_sources_that_contradict_each_other_give_no_scale_and_a_third_decides():
+def test_two_sources_that_contradict_each_other_stop_and_a_third_decides():
     rng = np.random.default_rng(10)
     poses, points = walk(rng), room(rng)
     wrong = AlignOptions(camera_height=0.3, metric=True)  # It was 1.5.
-    alignment = align(capture(points, poses), None, options=wrong)
-    assert not alignment.is_to_scale
-    assert alignment.scale_uncertain is None
-    (said,) = [line for line in alignment.warnings if "contradict" in line]
-    assert said.startswith("the scale is not known")
-    assert (
-        "poses says 1 m a unit, known to 3%; camera height says 0.202 m a unit, known to 10%"
-        in said
-    )
+    with pytest.raises(SceneError, match="sources contradict each other") as stopped:
+        align(capture(points, poses), None, options=wrong)
+    assert "poses says 1 m a unit, known to 4%" in str(stopped.value)
+    assert "camera height says 0.202 m a unit, known to 12%" in str(stopped.value)
     length = KnownLength(first=(1.0, 1.0, 0.0), second=(4.0, 5.0, 0.0), metres=5.05)
     decided = align(capture(points, poses), None, options=replace(wrong, lengths=(length,)))
     assert decided.is_to_scale
-    assert decided.scales[0].name == "length"
-    assert any("contradict each other" in line for line in decided.warnings)
+    assert [cue.name for cue in decided.scales if cue.used] == ["length", "poses"]
+    (said,) = decided.warnings
+    assert said.startswith("camera height says 0.202 m")
+
+
+@pytest.mark.parametrize(
+    ("points", "why"),
+    [
+        ({"floor": 0}, "no level floor was found"),
+        ({"floor": 0, "ramp": 900, "slope": 5.0, "walls": 900}, "slopes by 4.6"),
+    ],
+)
+def test_a_height_gives_a_scale_over_a_level_floor_that_was_seen_only(points, why):
+    rng = np.random.default_rng(13)
+    found = capture(room(rng, **points), walk(rng))
+    alignment = align(found, None, options=AlignOptions(camera_height=1.5))
+    assert not alignment.is_to_scale
+    (said,) = [line for line in alignment.warnings if "the cameras' height gives no scale" in line]
+    assert why in said
 
 
 def ledge(rng, share):
@@ -318,7 +331,7 @@ def test_a_ledge_is_not_a_floor_from_which_a_camera_height_gives_a_scale(share):
     assert any("photographs lie too near together" in line for line in both.warnings)
 
 
-def test_nine_of_ten_scales_by_positions_are_as_near_as_they_claim():
+def test_scales_by_positions_are_as_near_as_they_claim():
     rng = np.random.default_rng(12)
     within = []
     for _ in range(30):

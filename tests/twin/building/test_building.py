@@ -309,6 +309,13 @@ def test_a_build_ends_with_a_page_of_what_is_known_and_what_is_not(walked):
     first = folder.page.read_bytes()
     build.check()
     assert folder.page.read_bytes() == first
+    (folder.mesh / "report.json").write_text(f'{{"coverage": 1{"0" * 400}}}')
+    build.check()
+    assert "of the pixels" not in folder.page.read_text(), "it is damaged"
+    folder.page.unlink()
+    folder.page.mkdir()
+    build.check()
+    assert any(line.startswith("check: no page: cannot write ") for line in lines)
 
 
 def test_a_place_without_room_for_a_trail_says_why_and_names_the_label_page(walked):

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 from label_person import CHROMIUM, Browser, wait
 from label_places import SCENE, block, floor, gaussians, written_place
+from two_minutes import MOST, labelled
 
 from nw_eval import cli
 from nw_scenes.folder import load_folder
@@ -191,6 +192,12 @@ def test_a_tilted_place_without_a_scale_is_scaled_levelled_and_flipped_by_clicks
     assert code == 0
     assert f"label: {folder} is not to scale: put two markers" in printed.out
     assert np.ptp(load_folder(folder).static_mesh.vertices[:, 0]) == pytest.approx(4.5, abs=0.3)
+
+
+def test_a_scan_is_scaled_levelled_cropped_and_labelled_by_hand_in_two_minutes(pictures, folder):
+    clock = labelled(folder, pictures)
+    assert len(clock.steps) == 7
+    assert clock.total <= MOST, clock.steps
 
 
 def test_another_page_of_the_same_browser_cannot_speak_to_it(label, folder, pictures):

@@ -6,7 +6,7 @@ import pytest
 from nw_base.errors import SceneError
 from nw_scenes.folder import load_folder
 from nw_scenes.rays import RayScene
-from nw_twin.scans.points import is_cloud, read_cloud, surfaced
+from nw_twin.scans.points import is_cloud, is_splat, read_cloud, surfaced
 from nw_twin.scans.scan import ScanOptions, import_scan
 
 laspy = pytest.importorskip("laspy")
@@ -189,4 +189,4 @@ def test_what_is_no_usable_cloud_is_said(tmp_path):
         "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
         "property float z\nproperty float f_dc_0\nend_header\n0 0 0 1\n"
     )
-    assert not is_cloud(splat)
+    assert is_splat(splat)

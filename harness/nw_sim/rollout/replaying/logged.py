@@ -14,12 +14,13 @@ from nw_base.files.inside import what_is
 from nw_policies.bundle import was_instance
 from nw_policies.cards.model import CONTROL_RATE
 from nw_sim.rollout.job import TrialJob
-from nw_sim.rollout.library import Library
 from nw_sim.rollout.mcap.reader import LogReader
 from nw_sim.rollout.record import PROVENANCE, TRIAL, VERDICT, job_from_metadata
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from nw_sim.rollout.library import Library
 
 
 @dataclass(frozen=True, kw_only=True)
