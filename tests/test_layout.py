@@ -152,7 +152,7 @@ MOST = {
         ("nw_eval", "nw_learn", "nw_sim"),
     ),
     "nw_policies": Figures(
-        26980,  # Targets; HumanoidVerse; motors as trained; code of trainings in Isaac Gym.
+        27930,  # Targets; HumanoidVerse; motors as trained; code of trainings and of scripts.
         9,
         ("nw_eval", "nw_learn", "nw_sim"),
     ),

@@ -173,7 +173,6 @@ def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> N
     from nw_sim.rollout.asked_for import own_targets
     from nw_sim.tasks import TaskRules, fault_of
     from nw_sim.tasks.commanded import is_commanded, with_command
-    from nw_sim.tasks.track import NAMED
 
     if suite is None or bundle is None:
         return
@@ -181,10 +180,8 @@ def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> N
     if getattr(task, "targets", None) is not None:
         with suppress(NwEvalError):  # As already reported.
             own = own_targets(bundle.card, get_robot(suite.robot))
-    reference = bundle.card.reference
-    if task.kind == "track" and reference is not None and reference.file is suite.motion is None:
-        message = "task: neither the suite nor the policy's card names a motion"
-        faults.extend([suite.source.problem(("task",), message, NAMED)])
+    if task.kind == "track" and bundle.card.reference is not None:
+        _vet_motion(suite, bundle, faults)
     rules = TaskRules(duration=suite.episode.duration, own=own)
     axes = [axis for axis in suite.perturb.axes if axis in COMMANDED]
     if axes and not is_commanded(task):
@@ -203,6 +200,27 @@ def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> N
             location = ".".join(map(str, at))
             faults.extend([suite.source.problem(at, f"{location}: {fault.message}", fault.fix)])
             return
+
+
+def _vet_motion(suite: Suite, bundle: Bundle, faults: Faults) -> None:
+    """Tell what is wrong with the motion of a suite, or of its policy's card."""
+    from nw_sim.rollout.confined.vetting import vet_motion
+    from nw_sim.tasks.track import NAMED, with_motion
+
+    if suite.motion is None and bundle.motion is None:
+        message = "task: neither the suite nor the policy's card names a motion"
+        faults.extend([suite.source.problem(("task",), message, NAMED)])
+        return
+    task = with_motion(suite.task, lambda file: str((suite.base / file).absolute()))
+    try:
+        vet_motion(bundle, suite.robot, getattr(task, "motion", None))
+    except NwEvalError as error:
+        if suite.motion is None:
+            faults.add(error)
+            return
+        place = ("task", "motion", "file")
+        text = f"task.motion.file: {error.message}"
+        faults.extend([suite.source.problem(place, text, error.fix)])
 
 
 def _check_pictures(suite: Suite | None, request: Request, faults: Faults) -> None:

@@ -23,11 +23,14 @@ from ruamel.yaml import YAML
 
 from nw_base.errors import Problem, SuiteError, UsageError, nearest
 from nw_base.files.cache import atomic_path, followed
-from nw_base.files.inside import regular, what_is
+from nw_base.files.inside import bounded_bytes, regular, what_is
 from nw_base.files.shipped import available
 from nw_base.files.yaml_file import YamlProblems, read_yaml, validation_problems
 from nw_eval.suite.model import Source, Suite, new_suite
 from nw_sim.rendering import DRAFTED
+
+_LARGEST_MOTION = 2**30
+"""Bytes, as of a card's files."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,8 +127,8 @@ def _with_motion(suite: Suite, problems: list[Problem]) -> Suite:
         return suite
     named, place = cast("Any", suite.task).motion, ("task", "motion", "file")
     try:
-        with regular(suite.motion).open("rb") as file:
-            found = hashlib.file_digest(file, "sha256").hexdigest()
+        data = bounded_bytes(regular(suite.motion), _LARGEST_MOTION)
+        found = hashlib.sha256(data).hexdigest()
     except (OSError, ValueError) as error:  # A path with a zero byte is a ValueError.
         why = (isinstance(error, OSError) and error.strerror) or error
         text = f"task.motion.file: the motion {named.file} cannot be read: {why}"

@@ -36,7 +36,6 @@ from nw_policies.cards.observations import (
     Observation,
     PluginObservation,
     ProprioObservation,
-    ReferenceObservation,
 )
 from nw_policies.cards.reference import Reference
 from nw_policies.cards.terms import AnyTerm, AppliedAction, LastOutput, Moving
@@ -204,7 +203,20 @@ class Card(CardModel):
     h_out}`; of a TorchScript file `{h: {output: 1, shape: [1, 12]}}`. None = the pairs that the
     names of an ONNX graph show, and nothing of another file."""
     reference: Reference | None = None
-    """The motion that the policy tracks; None = it tracks none."""
+    """The motion that the policy tracks; None = it tracks none. A card with an observation of a
+    motion and without this leaves the motion to suites."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _tracks_what_it_observes(cls, data: Any) -> Any:
+        """Let a card that observes a motion leave it to suites, as with an empty `reference`."""
+        try:
+            seen = data["observations"].values()
+            if data.get("reference") is None and any(o["sensor"] == "reference" for o in seen):
+                return {**data, "reference": {}}
+        except (KeyError, TypeError, AttributeError):
+            pass  # What is wrong with it, its own model says.
+        return data
 
     @model_validator(mode="before")
     @classmethod
@@ -279,9 +291,6 @@ class Card(CardModel):
     def _check_terms(self) -> None:
         """Refuse terms that need what the card does not say."""
         for name, observation in self.observations.items():
-            if isinstance(observation, ReferenceObservation) and self.reference is None:
-                message = f"{name!r} is of a reference motion, and the card names none"
-                raise ValueError(f"{message}; add `reference: {{file: dance.npz}}`")
             if not isinstance(observation, ProprioObservation):
                 continue
             terms = observation.frame_terms

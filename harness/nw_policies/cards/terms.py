@@ -228,8 +228,9 @@ class Standing(CardModel):
 
     below: float = Field(gt=0.0)
     """Norm of vx, vy (m/s) and yaw rate (rad/s) of the command, below which it is so."""
-    phase: float | None = Field(default=None, ge=0.0, lt=1.0)
-    """The phase of every foot then; null = every number of the term is 0."""
+    phase: float | None = Field(default=None, ge=-1.0, lt=1.0)
+    """The phase of every foot then, of which -1 is none that a foot has else; null = every number
+    of the term is 0."""
 
 
 class GaitClock(ScaledTerm):

@@ -15,12 +15,15 @@ from pathlib import Path
 from typing import Any
 
 from nw_base.errors import PolicyError
-from nw_base.files.inside import what_is
+from nw_base.files.inside import bounded_bytes, what_is
 from nw_base.files.yaml_file import YamlProblems, parse_yaml
 from nw_base.plural import plural
 from nw_policies.cards.joints import short_name
-from nw_policies.drafting.checkpoint import CheckpointFacts, ExporterMetadata
+from nw_policies.drafting.checkpoint import CheckpointFacts
 from nw_policies.drafting.configs import reader_of
+from nw_policies.drafting.deploy_script import read_deploy_script
+from nw_policies.drafting.environments import IN_CODE as OF_LAB
+from nw_policies.drafting.exporters import ExporterMetadata
 from nw_policies.drafting.fields import Fields, account
 from nw_policies.drafting.gym_training import IN_CODE, pickled_settings
 from nw_policies.drafting.leapp import pipeline_checkpoint
@@ -37,6 +40,8 @@ _MOST = 24
 """Files that are looked at."""
 _MOST_CODE = 120
 """Files of a training's code."""
+_MOST_DIRECT = 500
+"""Files of tasks of Isaac Lab among which direct environments are looked for."""
 _HIGHEST = 8
 """Folders from a checkpoint up in which such code is looked for."""
 _OF_ROOT = (".git", "setup.py", "pyproject.toml")
@@ -96,39 +101,61 @@ def files_beside_checkpoint(checkpoint: Path, robot: str = "") -> dict[str, str]
             named = [folder.absolute().name] if up == 2 else [robot]
             files += _deployed(place.parent, "../" * up, named)
     listed = _texts([(name, path) for name, path in files if name != "policy.yaml"], _MOST)
-    return listed | _texts(_code(folder.absolute()), _MOST_CODE)
+    return listed | _texts(_code(checkpoint), _MOST_CODE)
 
 
 def _texts(files: Sequence[tuple[str, Path]], most: int) -> dict[str, str]:
     texts: dict[str, str] = {}
     for name, path in files:
         try:
-            is_ours = what_is(path) == "file" and path.stat().st_size <= _LARGEST
-            if is_ours and len(texts) < most:
+            if len(texts) < most:
                 # Bytes of a pickle are kept as letters of the same numbers.
                 letters = "latin-1" if name in _PICKLES else "utf-8"
-                texts[name] = path.read_bytes().decode(letters)
-        except (OSError, UnicodeDecodeError):
+                texts[name] = bounded_bytes(path, _LARGEST).decode(letters)
+        except (OSError, ValueError):
             continue
     return texts
 
 
-def _code(folder: Path) -> list[tuple[str, Path]]:
-    """Return the files of a training in Isaac Gym, of the repository that a checkpoint lies in.
+def _text(path: Path) -> str:
+    """Return the text of a file; nothing of one that is too large, or no text."""
+    return _texts([("", path)], 1).get("", "")
 
-    Its tasks are registered in `envs/__init__.py`, in or below a folder above the checkpoint. What
-    lies outside of the repository is not looked at: it is of other policies.
+
+def _code(checkpoint: Path) -> list[tuple[str, Path]]:
+    """Return the files of a training's code, of the repository that a checkpoint lies in.
+
+    Tasks are registered in `envs/__init__.py`, in or below a folder above the checkpoint, with
+    robots in `assets` beside it; direct ones of Isaac Lab lie below `source/NAME/NAME/tasks`. Else
+    it is the scripts that name the checkpoint, at most one folder deep. What lies outside of the
+    repository is not looked at: it is of other policies.
     """
-    places = [folder, *folder.parents][:_HIGHEST]
+    places = list(checkpoint.absolute().parents)[:_HIGHEST]
     ends = [up for up, place in enumerate(places) if any((place / n).exists() for n in _OF_ROOT)]
     for up, place in enumerate(places[: ends[0] + 1] if ends else ()):
         for envs in (place / "envs", *sorted(place.glob("*/envs"))):
-            if ".register(" in _texts([("", envs / "__init__.py")], 1).get("", ""):
-                return [
-                    (f"{'../' * up}{path.relative_to(place).as_posix()}", path)
-                    for path in sorted(envs.rglob("*.py"))
-                ]
+            if ".register(" in _text(envs / "__init__.py"):
+                files = [*sorted(envs.rglob("*.py")), *sorted(envs.parent.glob("assets/**/*.py"))]
+                return _named(files, place, up)
+        direct = sorted(place.glob("source/*/*/tasks/**/*.py"))[:_MOST_DIRECT]
+        if any("def _get_observations" in _text(path) for path in direct):
+            return _named(direct, place, up)
+    for up, place in enumerate(places[: ends[0] + 1] if ends else ()):
+        scripts = [*sorted(place.glob("*.py")), *sorted(place.glob("*/*.py"))][:_MOST_DIRECT]
+        found = [path for path in scripts if _names(path, checkpoint)]
+        if found:
+            return _named(found, place, up)
     return []
+
+
+def _names(script: Path, checkpoint: Path) -> bool:
+    """Return whether a script speaks of a checkpoint and fills slices of a row."""
+    text = _text(script)
+    return checkpoint.name in text and ":" in text and "obs" in text
+
+
+def _named(files: Sequence[Path], place: Path, up: int) -> list[tuple[str, Path]]:
+    return [(f"{'../' * up}{path.relative_to(place).as_posix()}", path) for path in files]
 
 
 def _deployed(root: Path, prefix: str, named: Sequence[str]) -> list[tuple[str, Path]]:
@@ -235,7 +262,10 @@ def _read_files(
         {name: text for name, text in texts.items() if name not in code}, robot, checkpoint, size
     )
     said = read_training_code(code, robot, checkpoint, size, saved) if code else None
-    return read if said is None else _with_code(read, said)
+    if said is not None:
+        return _with_code(read, said)
+    script = None if read else read_deploy_script(code, robot, checkpoint, size)
+    return read if script is None else [(_ORDER.index("gym"), script)]
 
 
 def _read_settings(
@@ -285,7 +315,7 @@ def _with_code(
     read: Sequence[tuple[int, ExporterMetadata]], code: ExporterMetadata
 ) -> list[tuple[int, ExporterMetadata]]:
     """Return what files say with the terms of a training's code, which a deploy config lacks."""
-    guessed, saved = _ORDER.index("gym"), _ORDER.index("gym_training")
+    guessed = _ORDER.index("gym")
     if code.observation_terms and all(term.own or term.grid for term in code.observation_terms):
         read = [
             (
@@ -293,7 +323,7 @@ def _with_code(
                 replace(
                     said,
                     observation_terms=() if kind == guessed else said.observation_terms,
-                    notes=tuple(note for note in said.notes if kind != saved or note != IN_CODE),
+                    notes=tuple(note for note in said.notes if note not in {IN_CODE, OF_LAB}),
                 ),
             )
             for kind, said in read

@@ -21,13 +21,13 @@ from dataclasses import replace
 from typing import Any, cast
 
 from nw_policies.cards.joints import short_name
-from nw_policies.drafting.checkpoint import ExportedTerm, ExporterMetadata
 from nw_policies.drafting.environments import (
     action_kind,
     action_notes,
     activation_of,
     fields_of,
     manager_term,
+    raw_limits,
     read_agent,
     read_descriptors,
     read_direct_environment,
@@ -35,6 +35,7 @@ from nw_policies.drafting.environments import (
     scale_of,
     speeds_of,
 )
+from nw_policies.drafting.exporters import ExportedTerm, ExporterMetadata
 from nw_policies.drafting.fields import (
     Fields,
     limits_of,
@@ -136,6 +137,7 @@ def _deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata
         described = group  # Of several groups, each with a name.
     by_step = described.get("use_gym_history") is True
     offset = action.numbers("offset")
+    clip, clip_notes = raw_limits(action, names, action.numbers("scale"), offset)
     return ExporterMetadata(
         joint_names=names,
         joint_stiffness=reordered(data.numbers("stiffness"), motors, names),
@@ -143,7 +145,7 @@ def _deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata
         default_joint_pos=data.numbers("default_joint_pos"),
         action=action_kind(kind, offset),
         action_scale=action.numbers("scale"),
-        action_clip=action.limits("clip"),
+        action_clip=clip,
         rate=data.per_second("step_dt"),
         speeds=speeds_of(data.get("commands")),
         observation_terms=tuple(
@@ -152,7 +154,7 @@ def _deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata
             if isinstance(term, dict)
         ),
         joint_count=len(data.numbers("joint_ids_map")),
-        notes=action_notes(kind, offset, data.numbers("default_joint_pos")),
+        notes=(*action_notes(kind, offset, data.numbers("default_joint_pos")), *clip_notes),
     )
 
 

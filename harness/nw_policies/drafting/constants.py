@@ -7,6 +7,7 @@ lists, ranges and pairs of both. Everything else is `UNKNOWN`, and so is what gr
 from __future__ import annotations
 
 import ast
+from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeGuard, cast
 
@@ -20,28 +21,36 @@ _LARGEST = 1e12
 """Of a number; what is larger is not one of a policy's."""
 
 
-def follow_settings(line: ast.stmt, values: dict[str, Any], *, depth: int = 0) -> None:
+def follow_settings(
+    line: ast.stmt,
+    values: dict[str, Any],
+    outer: Mapping[str, Any] | None = None,
+    *,
+    depth: int = 0,
+) -> None:
     """Do to the names of a class what an assignment, or a loop of them, does.
 
     Args:
         line: of the class.
         values: what its names hold; changed.
+        outer: what names outside of the class hold.
         depth: loops round the line.
     """
+    names: Mapping[str, Any] = values if outer is None else ChainMap(values, cast("Any", outer))
     match line:
         case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Tuple(elts=items)):
             for target, item in zip(targets, items, strict=False):
-                _assign(target, constant(item, values), values)
+                _assign(target, constant(item, names), values)
         case ast.Assign(targets=targets, value=value):
             for target in targets:
-                _assign(target, constant(value, values), values)
+                _assign(target, constant(value, names), values)
         case ast.AnnAssign(target=target, value=ast.expr() as value):
-            _assign(target, constant(value, values), values)
+            _assign(target, constant(value, names), values)
         case ast.For(target=target, iter=items, body=body) if depth < _DEEPEST:
-            for turn in _turns(items, values)[:_MOST]:
+            for turn in _turns(items, names)[:_MOST]:
                 _assign(target, turn, values)
                 for inner in body:
-                    follow_settings(inner, values, depth=depth + 1)
+                    follow_settings(inner, values, outer, depth=depth + 1)
         case _:
             pass
 
@@ -111,12 +120,42 @@ def constant(node: ast.expr, names: Mapping[str, Any]) -> Any:
             return _joined(parts, names)
         case ast.UnaryOp(op=ast.USub(), operand=operand):
             return _negated(constant(operand, names))
-        case ast.Call(func=ast.Name(id="int" | "float" | "round" as kind), args=[inner]):
-            return _cast(kind, constant(inner, names))
+        case ast.Call():
+            return _called(node, names)
         case ast.BinOp(left=left, op=op, right=right):
             return _computed(constant(left, names), op, constant(right, names))
         case _:
             return UNKNOWN
+
+
+def _called(node: ast.Call, names: Mapping[str, Any]) -> Any:
+    """Return what a conversion of a number, or the making of settings, comes to."""
+    match node:
+        case ast.Call(func=ast.Name(id="int" | "float" | "round" as kind), args=[inner]):
+            return _cast(kind, constant(inner, names))
+        case ast.Call(func=ast.Attribute(attr="array" | "tensor"), args=[ast.List() as listed, *_]):
+            return constant(listed, names)
+        case ast.Call(func=func, args=[], keywords=[_, *_] as keywords):
+            return _made(func, keywords, names)
+        case ast.Call(func=ast.Name(id=name), args=[]):
+            made = names.get(name)
+            return cast("dict[str, Any]", made) if isinstance(made, dict) else UNKNOWN
+        case _:
+            return UNKNOWN
+
+
+def _made(
+    func: ast.expr, keywords: Sequence[ast.keyword], names: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the settings of `Class(key=value, ...)`: its own, before those of the class.
+
+    What is no constant is left out.
+    """
+    own = names.get(func.id) if isinstance(func, ast.Name) else None
+    values = {word.arg: constant(word.value, names) for word in keywords if word.arg}
+    known = {key: value for key, value in values.items() if value is not UNKNOWN}
+    inherited = cast("dict[str, Any]", own) if isinstance(own, dict) else {}
+    return {**{key: one for key, one in inherited.items() if key not in values}, **known}
 
 
 def _joined(parts: Sequence[ast.expr], names: Mapping[str, Any]) -> Any:

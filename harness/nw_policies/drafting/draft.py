@@ -17,14 +17,8 @@ from nw_base.errors import PolicyError, nearest
 from nw_policies.cards.control import MOST_PHYSICS_RATE, PHYSICS_RATE
 from nw_policies.cards.joints import short_name
 from nw_policies.drafting.beside import believed, read_beside, refuse_another_robot
-from nw_policies.drafting.checkpoint import (
-    EXPORT,
-    ArrayFacts,
-    CheckpointFacts,
-    ExportedTerm,
-    ExporterMetadata,
-    inspect_checkpoint,
-)
+from nw_policies.drafting.checkpoint import EXPORT, ArrayFacts, CheckpointFacts, inspect_checkpoint
+from nw_policies.drafting.exporters import ExportedTerm, ExporterMetadata
 from nw_policies.drafting.feeders import with_encoders
 from nw_policies.drafting.inputs import (
     known_observations,

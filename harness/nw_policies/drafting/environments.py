@@ -10,18 +10,20 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import cycle
 from typing import Any, cast
 
 from nw_policies.cards.joints import short_name
-from nw_policies.drafting.checkpoint import ExportedTerm, ExporterMetadata, HeightGrid
-from nw_policies.drafting.fields import Fields, per_second
+from nw_policies.drafting.exporters import ExportedTerm, ExporterMetadata, HeightGrid
+from nw_policies.drafting.fields import Fields, limits_of, per_second
 from nw_policies.drafting.layouts import TERM_OF, isaac_lab_order
 from nw_policies.drafting.motors import motor_groups, with_limits
-from nw_policies.drafting.patterns import Patterns, reordered
+from nw_policies.drafting.patterns import Patterns, matching, reordered
 from nw_policies.drafting.tracking import MOTION_COMMAND
 from nw_scenes.robots import RobotSpec
 
 Data = Fields
+IN_CODE = "the environment computes what the policy sees in its own code"
 
 
 def fields_of(value: Any) -> Fields:
@@ -68,6 +70,59 @@ def action_notes(kind: str, offset: Sequence[float], pose: Sequence[float]) -> t
     return tuple(notes)
 
 
+_FAR = 10.0
+"""rad or rad/s beyond which a limit of targets limits no joint."""
+
+
+def raw_limits(
+    action: Data, names: Sequence[str], scale: Sequence[float], base: Sequence[float]
+) -> tuple[tuple[float, float] | None, tuple[str, ...]]:
+    """Return the limits of raw actions by those of targets, which Isaac Lab has; and notes.
+
+    It clips what the scale and the offset have made (`JointAction.process_actions`). A card has one
+    pair for the raw actions of all joints: where they have different ones, a note names them.
+
+    Args:
+        action: of a file, whose `clip` is a pair, one for each joint, or pairs by patterns.
+        names: of its joints.
+        scale: for each unit of action; one number or one each.
+        base: targets at action 0, alike; empty = 0.
+    """
+    if not names:  # Of another robot.
+        return None, ()
+    pairs = _pairs_of(action, names)
+    if not pairs or len(scale) not in {1, len(names)} or not all(scale):
+        action.doubt("clip", action.get("clip"))
+        return None, ()
+    if min(abs(limit) for pair in pairs for limit in pair) >= _FAR:
+        return None, ()
+    whole = zip(pairs, cycle(scale), cycle(base or (0.0,)), strict=False)
+    raw = {tuple(sorted(round((x - b) / s, 6) for x in pair)) for pair, s, b in whole}
+    if len(raw) == 1:
+        low, high = raw.pop()
+        return (low, high), ()
+    shown = ", ".join(
+        f"{short_name(name)} {low:g} to {high:g}"
+        for name, (low, high) in zip(names, pairs, strict=True)
+    )
+    return None, (
+        f"its targets are limited, and a card limits raw actions of all joints alike: {shown}",
+    )
+
+
+def _pairs_of(action: Data, names: Sequence[str]) -> list[tuple[float, float]]:
+    """Return the limits of each joint's target; empty where there are none, or not of all."""
+    clip = action.get("clip")
+    if isinstance(clip, Fields):
+        keys = [matching(clip, short_name(name)) for name in names]
+        found = [clip.limits(key) if key else (-math.inf, math.inf) for key in keys]
+    elif isinstance(clip, list) and len(listed := cast("list[Any]", clip)) == len(names) != 2:
+        found = [limits_of(pair) for pair in listed]
+    else:
+        found = [limits_of(clip)] * len(names)
+    return [] if None in found else cast("list[tuple[float, float]]", found)
+
+
 def manager_term(
     name: str,
     term: Data,
@@ -110,6 +165,9 @@ def read_descriptors(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMe
         values = robot.numbers(key)
         return reordered(values, theirs, names) if any(values) else ()
 
+    kind = action_kind(str(action.get("full_path")), action.numbers("offset"))
+    base = action.numbers("offset") or per_joint("default_joint_pos")
+    clip, clip_notes = raw_limits(action, names, action.numbers("scale") or (1.0,), base)
     groups = data.below("observations")
     group = groups.get("policy", groups.get("actor", next(iter(groups.values()), [])))
     terms = cast("list[Any]", group) if isinstance(group, list) else []
@@ -119,9 +177,9 @@ def read_descriptors(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMe
         joint_damping=per_joint("default_joint_damping"),
         default_joint_pos=per_joint("default_joint_pos"),
         armature=per_joint("default_joint_armature"),
-        action=action_kind(str(action.get("full_path")), action.numbers("offset")),
+        action=kind,
         action_scale=action.numbers("scale"),
-        action_clip=action.limits("clip"),
+        action_clip=clip,
         rate=scene.per_second("dt"),
         physics_rate=scene.per_second("physics_dt"),
         observation_terms=tuple(_described_term(fields_of(term), names) for term in terms),
@@ -132,6 +190,7 @@ def read_descriptors(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMe
                 per_joint("default_joint_pos"),
             ),
             *(f"several terms make its action: {len(actions)}" for _ in actions[1:2]),
+            *clip_notes,
         ),
     )
 
@@ -217,20 +276,26 @@ def read_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Exporte
         () if action.get("use_default_offset") is not False else action.numbers("offset") or (0.0,)
     )
     kind = str(action.get("class_type"))
+    pose, scale = (
+        patterns.values(state, "joint_pos", default=0.0),
+        patterns.values(action, "scale"),
+    )
+    is_torque = action_kind(kind, own) == "joint_torque"
+    clip, clip_notes = raw_limits(action, names, scale, () if is_torque else own or pose)
     known = any(groups_of_motors) or "joint_pos" in state
     return ExporterMetadata(
         joint_names=names if known else (),
         joint_stiffness=patterns.motors(groups_of_motors, "stiffness"),
         joint_damping=patterns.motors(groups_of_motors, "damping"),
-        default_joint_pos=(pose := patterns.values(state, "joint_pos", default=0.0)),
+        default_joint_pos=pose,
         torque_limits=patterns.motors(with_limits(groups_of_motors), "effort_limit"),
         armature=patterns.motors(groups_of_motors, "armature"),
         friction_loss=_friction(patterns, groups_of_motors),
         viscous_friction=patterns.motors(groups_of_motors, "viscous_friction", default=0.0),
         motors=motors,
         action=action_kind(kind, own),
-        action_scale=patterns.values(action, "scale"),
-        action_clip=_one_of(action.below("clip")),
+        action_scale=scale,
+        action_clip=clip,
         rate=per_second(step * every if step and every else None),
         physics_rate=per_second(step),
         speeds=speeds_of(data.get("commands")),
@@ -239,7 +304,7 @@ def read_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Exporte
         bodies=motion.texts("body_names"),
         motion_file=str(motion.get("motion_file") or ""),
         guessed_order=is_guess and known,
-        notes=(*action_notes(kind, own, pose), *notes, *motor_notes),
+        notes=(*action_notes(kind, own, pose), *notes, *motor_notes, *clip_notes),
     )
 
 
@@ -324,7 +389,7 @@ def read_direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> 
         physics_rate=per_second(step),
         guessed_order=is_guess,
         notes=(
-            "the environment computes what the policy sees in its own code",
+            IN_CODE,
             *motor_notes,
         ),
     )
@@ -336,15 +401,6 @@ def _friction(patterns: Patterns, groups: Sequence[Data]) -> tuple[float, ...]:
     return patterns.motors(groups, "frictionloss", default=0.0) or patterns.motors(
         newtons, "friction", default=0.0
     )
-
-
-def _one_of(limits: Data) -> tuple[float, float] | None:
-    """Return the limits that all patterns have; None where they differ, as a card has one pair."""
-    ranges = {limits.limits(pattern) for pattern in limits}
-    if len(ranges) > 1:
-        for pattern, value in limits.items():
-            limits.doubt(pattern, value)
-    return ranges.pop() if len(ranges) == 1 else None
 
 
 def _with_motors(names: tuple[str, ...], groups: Sequence[Data]) -> tuple[str, ...]:

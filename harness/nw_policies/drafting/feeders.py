@@ -14,7 +14,7 @@ from pathlib import Path
 from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
 from nw_base.errors import PolicyError
-from nw_base.files.inside import what_is
+from nw_base.files.inside import bounded_bytes, what_is
 from nw_policies.bundle import SIZE_LIMIT
 from nw_policies.drafting.checkpoint import CheckpointFacts, inspect_checkpoint
 from nw_policies.drafting.inputs import image_lines
@@ -133,7 +133,10 @@ def may_feed(checkpoint: Path) -> list[Path]:
     paths = [path for path in sorted(checkpoint.parent.glob("*")) if _may_feed(path, checkpoint)]
     if not paths or len(paths) > _MOST:
         return []
-    own = checkpoint.read_bytes()
+    try:
+        own = bounded_bytes(checkpoint, SIZE_LIMIT)
+    except (OSError, ValueError):  # As whoever opens it says.
+        return []
     return [path for path in paths if _is_another(path, own)]
 
 

@@ -12,7 +12,7 @@ from typing import Any, cast
 
 from nw_base.errors import PolicyError
 from nw_policies.cards.joints import short_name
-from nw_policies.drafting.checkpoint import ExporterMetadata
+from nw_policies.drafting.exporters import ExporterMetadata
 from nw_policies.drafting.fields import Fields, number_of, per_second
 from nw_policies.drafting.layouts import LEG_BY_LEG
 from nw_policies.drafting.motors import TOLD_LATE, Group, late_steps, named_network

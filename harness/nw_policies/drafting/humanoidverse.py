@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from nw_policies.cards.joints import short_name
-from nw_policies.drafting.checkpoint import ExportedTerm, ExporterMetadata
+from nw_policies.drafting.exporters import ExportedTerm, ExporterMetadata
 from nw_policies.drafting.fields import Fields, number_of, per_second
 from nw_policies.drafting.notation import number, quoted
 from nw_scenes.robots import RobotSpec

@@ -6,7 +6,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from nw_policies.drafting.checkpoint import ArrayFacts, CheckpointFacts, ExportedTerm, ScriptInput
+from nw_policies.drafting.checkpoint import ArrayFacts, CheckpointFacts, ScriptInput
+from nw_policies.drafting.exporters import ExportedTerm
 from nw_policies.drafting.layouts import SCANS, frames_of, is_scan
 from nw_policies.drafting.notation import CHECK, RATE_LINE, key
 from nw_policies.drafting.tracking import TIME_STEP

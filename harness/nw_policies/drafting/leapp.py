@@ -27,7 +27,7 @@ from nw_base.files.inside import OutsideError, bounded_bytes, checked, what_is
 from nw_base.files.yaml_file import YamlProblems, parse_yaml
 from nw_policies.cards.joints import short_name
 from nw_policies.drafting.checkpoint import CheckpointFacts, forward_code
-from nw_policies.drafting.checkpoint import ExporterMetadata as Metadata
+from nw_policies.drafting.exporters import ExporterMetadata as Metadata
 from nw_policies.drafting.fields import Fields, account
 from nw_policies.drafting.notation import plain
 from nw_policies.safety import FileKind, FileLimits, open_archive

@@ -12,8 +12,9 @@ from nw_base.errors import PolicyError
 from nw_base.files.inside import OutsideError, bounded_bytes, checked
 from nw_policies.cards.joints import short_name
 from nw_policies.drafting.beside import merged
-from nw_policies.drafting.checkpoint import ArrayFacts, CheckpointFacts, ExportedTerm
-from nw_policies.drafting.checkpoint import ExporterMetadata as Metadata
+from nw_policies.drafting.checkpoint import ArrayFacts, CheckpointFacts
+from nw_policies.drafting.exporters import ExportedTerm
+from nw_policies.drafting.exporters import ExporterMetadata as Metadata
 from nw_policies.drafting.inputs import Wanted, parts_of
 from nw_policies.drafting.leapp import (
     JOINT_TERMS,

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from nw_policies.cards.joints import short_name
-from nw_policies.drafting.checkpoint import ExportedTerm, ExporterMetadata
+from nw_policies.drafting.exporters import ExportedTerm, ExporterMetadata
 from nw_policies.drafting.fields import Fields, per_second
 from nw_scenes.robots import RobotSpec
 

@@ -73,11 +73,18 @@ def motor_groups(
 
 
 def with_limits(groups: Sequence[Fields]) -> list[Fields]:
-    """Return groups of which those whose torque limit depends on the angle have the middle."""
-    return [
-        Fields({**group, "effort_limit": limits[1]}) if (limits := _limits(group)) else group
-        for group in groups
-    ]
+    """Return groups with the torque limits of their joints as `effort_limit`.
+
+    Those whose limit depends on the angle have the middle; implicit motors of Isaac Lab may have
+    the solver's limit alone, which is theirs.
+    """
+    found: list[Fields] = []
+    for group in groups:
+        limit: Any = group.get("effort_limit_sim") if group.get("effort_limit") is None else None
+        if limits := _limits(group):
+            limit = limits[1]
+        found.append(group if limit is None else Fields({**group, "effort_limit": limit}))
+    return found
 
 
 def _limits(group: Fields) -> tuple[float, float, float] | None:

@@ -80,8 +80,13 @@ class Patterns:
 
 
 def _value_of(name: str, values: Fields, default: float | None = None) -> float | None:
-    matched = next((pattern for pattern in values if _matches(pattern, name)), "")
+    matched = matching(values, name)
     return values.number(matched) if matched else default
+
+
+def matching(values: Fields, name: str) -> str:
+    """Return the first pattern that means a joint; empty where none does."""
+    return next((pattern for pattern in values if _matches(pattern, name)), "")
 
 
 def _matches(pattern: str, name: str) -> bool:

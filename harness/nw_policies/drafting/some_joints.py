@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 
 from nw_policies.cards.joints import short_name
-from nw_policies.drafting.checkpoint import CheckpointFacts, ExporterMetadata
+from nw_policies.drafting.checkpoint import CheckpointFacts
+from nw_policies.drafting.exporters import ExporterMetadata
 from nw_policies.drafting.notation import CHECK, plain
 from nw_policies.drafting.patterns import reordered
 from nw_policies.drafting.trained import trained_network

@@ -11,7 +11,8 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from nw_base.files.inside import what_is
-from nw_policies.drafting.checkpoint import CheckpointFacts, ExporterMetadata
+from nw_policies.drafting.checkpoint import CheckpointFacts
+from nw_policies.drafting.exporters import ExporterMetadata
 from nw_policies.drafting.notation import CHECK, plain, quoted
 from nw_scenes.robots import RobotSpec
 

@@ -1,9 +1,12 @@
-"""Trainings in Isaac Gym whose settings and observations stand in Python files: read, never run.
+"""Trainings whose settings and observations stand in Python files: read, never run.
 
 legged_gym and its forks (humanoid-gym, HIMLoco, trainings of EngineAI and of Unitree) register each
 task with a class of settings and one of the environment, whose `compute_observations` joins what
 the policy sees. Of the settings the constants are read, with those of the classes below; of the
 method the terms (`training_terms`). What is computed otherwise stays unknown.
+
+Environments of Isaac Lab that compute observations in code are read alike: those of legged_lab and
+its forks (TienKung) are registered as above, direct ones name their settings as the type of `cfg`.
 """
 
 from __future__ import annotations
@@ -12,13 +15,15 @@ import ast
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import PurePosixPath
 from typing import Any, cast
 
 from nw_policies.cards.joints import short_name
-from nw_policies.drafting.checkpoint import ExporterMetadata
-from nw_policies.drafting.constants import follow_settings
-from nw_policies.drafting.fields import Fields
+from nw_policies.drafting.constants import UNKNOWN, constant, follow_settings
+from nw_policies.drafting.environments import read_direct_environment, speeds_of
+from nw_policies.drafting.exporters import ExporterMetadata
+from nw_policies.drafting.fields import Fields, number_of
 from nw_policies.drafting.gym_training import is_gym_training, read_gym_training
 from nw_policies.drafting.notation import plain
 from nw_policies.drafting.training_terms import OBSERVES, Environment, seen_terms
@@ -36,19 +41,52 @@ class _Task:
 
     name: str
     file: str
-    """Which registers it."""
+    """Which registers it, or has the direct environment."""
     settings: str
     """Name of the class."""
     environment: str
     trainer: str
 
 
-class _Classes:
+class _Outer(Mapping[str, Any]):
+    """What names mean in a module: settings of classes, and constants, of its own file first."""
+
+    def __init__(self, classes: CodeClasses, file: str) -> None:
+        self._classes, self._file = classes, file
+        self._known: dict[str, Any] = {}
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._classes.found or name in self._classes.assigned
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self:
+            raise KeyError(name)
+        if name not in self._known:
+            self._known[name] = UNKNOWN  # Of what is defined by itself.
+            if name in self._classes.found:
+                self._known[name] = self._classes.settings(name, self._file)
+            else:
+                values = self._classes.assigned[name]
+                own = min(values, key=partial(self._classes.unlike, name, self._file))
+                self._known[name] = constant(values[own], self._classes.outer(own))
+        return self._known[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter({**self._classes.found, **self._classes.assigned})
+
+    def __len__(self) -> int:
+        return len({**self._classes.found, **self._classes.assigned})
+
+
+class CodeClasses:
     """Classes of several files by name; of those that are called alike, what a file imports."""
 
     def __init__(self, texts: Mapping[str, str]) -> None:
         self.found: dict[str, list[tuple[str, ast.ClassDef]]] = {}
         self.tasks: list[_Task] = []
+        self.assigned: dict[str, dict[str, ast.expr]] = {}
+        """Values of names of modules, by file."""
+        self._outer: dict[str, _Outer] = {}
         self._imported: dict[tuple[str, str], str] = {}
         self._known: dict[tuple[str, str], dict[str, Any]] = {}
         for file, text in texts.items():
@@ -59,21 +97,29 @@ class _Classes:
             for node in ast.walk(tree):
                 if isinstance(node, ast.ClassDef):
                     self.found.setdefault(node.name, []).append((file, node))
+                    self.tasks += _direct(node, file)
                 elif isinstance(node, ast.ImportFrom):
                     self._imported |= {(file, name.name): node.module or "" for name in node.names}
                 elif isinstance(node, ast.Call):
                     self.tasks += _task(node, file)
+            for line in tree.body:
+                if isinstance(line, ast.Assign) and isinstance(line.targets[0], ast.Name):
+                    self.assigned.setdefault(line.targets[0].id, {})[file] = line.value
+
+    def outer(self, file: str) -> _Outer:
+        """Return what names mean in a module."""
+        return self._outer.setdefault(file, _Outer(self, file))
+
+    def unlike(self, name: str, file: str, other: str) -> tuple[bool, bool, bool]:
+        """Return how unlike another file is to be that which a file has a name of."""
+        module = self._imported.get((file, name), "").rpartition(".")[2]
+        place = PurePosixPath(other)
+        return other != file, place.stem != module, place.parent != PurePosixPath(file).parent
 
     def of(self, name: str, file: str = "") -> tuple[str, ast.ClassDef] | None:
         """Return the file of a class, and the class: of the own file, or as the file imports it."""
-        module = self._imported.get((file, name), "").rpartition(".")[2]
-
-        def unlike(pair: tuple[str, ast.ClassDef]) -> tuple[bool, bool, bool]:
-            place = PurePosixPath(pair[0])
-            is_module = place.stem == module
-            return pair[0] != file, not is_module, place.parent != PurePosixPath(file).parent
-
-        return min(self.found.get(name, []), key=unlike, default=None)
+        found = self.found.get(name, [])
+        return min(found, key=lambda pair: self.unlike(name, file, pair[0]), default=None)
 
     def settings(self, name: str, file: str = "", depth: int = 0) -> dict[str, Any]:
         """Return the constants of a class and of those below it; of inner classes, mappings."""
@@ -100,7 +146,7 @@ class _Classes:
             if isinstance(line, ast.ClassDef):
                 values[line.name] = self._inner(line, file, depth + 1)
             else:
-                follow_settings(line, values)
+                follow_settings(line, values, self.outer(file))
         return values
 
     def methods(self, name: str, file: str = "") -> list[Mapping[str, ast.FunctionDef]]:
@@ -148,6 +194,24 @@ def _task(node: ast.Call, file: str) -> Iterator[_Task]:
         )
 
 
+def _direct(node: ast.ClassDef, file: str) -> Iterator[_Task]:
+    """Give a task for each class of settings that a direct environment may have as its `cfg`."""
+    methods = [line.name for line in node.body if isinstance(line, ast.FunctionDef)]
+    if OBSERVES[1] not in methods:
+        return
+    types = [
+        name.id
+        for line in node.body
+        if isinstance(line, ast.AnnAssign) and _dotted(line.target) == ["cfg"]
+        for name in ast.walk(line.annotation)
+        if isinstance(name, ast.Name)
+    ]
+    for name in types or [""]:
+        yield _Task(
+            name=name or node.name, file=file, environment=node.name, settings=name, trainer=""
+        )
+
+
 def read_training_code(
     texts: Mapping[str, str],
     robot: RobotSpec,
@@ -165,7 +229,7 @@ def read_training_code(
         saved: settings that were saved with the checkpoint, which count before those of the code.
     """
     try:
-        classes = _Classes(texts)
+        classes = CodeClasses(texts)
         fits = [
             (_likeness(task, classes, robot, f"{checkpoint} {_experiment(saved)}"), each)
             for task in classes.tasks
@@ -192,7 +256,7 @@ def read_training_code(
     return replace(said, notes=(plain(note), *said.notes), sources=marked)
 
 
-def _likeness(task: _Task, classes: _Classes, robot: RobotSpec, path: str) -> tuple[int, bool]:
+def _likeness(task: _Task, classes: CodeClasses, robot: RobotSpec, path: str) -> tuple[int, bool]:
     """Return how well the names of a task are those of a checkpoint's path and of its robot."""
     names = [_letters(task.name), _letters(_experiment(classes.settings(task.trainer, task.file)))]
     lengths = [len(name) for name in names if name and name in _letters(path)]
@@ -211,20 +275,24 @@ def _letters(name: str) -> str:
 
 
 def _read(
-    task: _Task, classes: _Classes, robot: RobotSpec, size: int, saved: Mapping[str, Any] | None
+    task: _Task, classes: CodeClasses, robot: RobotSpec, size: int, saved: Mapping[str, Any] | None
 ) -> tuple[_Task, ExporterMetadata] | None:
     """Return what a task says of a robot's policy; None where it is of another, or not read."""
     settings = {**classes.settings(task.settings, task.file), **(saved or {})}
     config = Fields(settings)
     methods = classes.methods(task.environment, task.file)
-    if not is_gym_training(config) or not any(OBSERVES in own for own in methods):
+    if not any(name in own for own in methods for name in OBSERVES):
+        return None
+    if (lab := _lab_environment(config)) is not None:
+        return _read_lab(task, lab, methods, robot, size, settings)
+    if not is_gym_training(config):
         return None
     joints = len(robot.joints)
     pose = {short_name(name) for name in config.below("init_state").below("default_joint_angles")}
     actions = config.below("env").number("num_actions")
     if actions not in {None, joints} or not pose >= set(map(short_name, robot.joints)):
         return None
-    terms = seen_terms(Environment(settings=settings, methods=methods, joints=joints))
+    terms = seen_terms(Environment(settings=settings, methods=methods, joints=joints)).terms
     total = sum((term.width or 0) * (term.history or 1) for term in terms)
     if size not in {0, total or config.below("env").number("num_observations")}:
         return None
@@ -233,6 +301,70 @@ def _read(
     return task, replace(said, observation_terms=terms, notes=() if terms else said.notes)
 
 
+def _lab_environment(config: Fields) -> Fields | None:
+    """Return settings of Isaac Lab as a direct environment has them; None of another training.
+
+    legged_lab has the robot in its scene, and the decimation beside the time step.
+    """
+    asset = config.below("scene").get("robot")
+    asset = config.get("robot") if not isinstance(asset, Fields) else asset
+    own, sim = config.below("robot"), config.below("sim")
+    every = config.get("decimation") or sim.get("decimation")
+    if sim.number("dt") is None or number_of(every) is None:
+        return None
+    scale = config.get("action_scale") or own.get("action_scale")
+    return Fields(
+        {
+            **config,
+            "sim": {"dt": sim.number("dt")},
+            "decimation": every,
+            "robot": asset if isinstance(asset, Fields) else {},
+            "action_scale": scale,
+        }
+    )
+
+
+def _read_lab(
+    task: _Task,
+    config: Fields,
+    methods: Sequence[Mapping[str, ast.FunctionDef]],
+    robot: RobotSpec,
+    size: int,
+    settings: Mapping[str, Any],
+) -> tuple[_Task, ExporterMetadata] | None:
+    """Return what a task of Isaac Lab says of a robot's policy; None where it is of another."""
+    joints, actions = len(robot.joints), config.number("action_space", "num_actions")
+    said = read_direct_environment(config, robot, ())
+    has_asset = bool(said.joint_stiffness and said.default_joint_pos)
+    if actions not in {None, joints} or (actions is None and not has_asset):
+        return None
+    seen = seen_terms(
+        Environment(settings=settings, methods=methods, joints=joints, is_lab=True, size=size)
+    )
+    total = sum((term.width or 0) * (term.history or 1) for term in seen.terms)
+    if size not in {0, total or config.number("observation_space") or size}:
+        return None
+    normal = config.below("normalization")
+    clip = seen.clip or normal.number("clip_actions")
+    return task, replace(
+        said,
+        joint_names=said.joint_names if has_asset else (),
+        observation_terms=seen.terms,
+        observation_clip=normal.number("clip_observations"),
+        action_clip=(-clip, clip) if clip else None,
+        speeds=speeds_of(Fields({"": config.get("commands")})),
+        notes=(*seen.notes, *(() if seen.terms else said.notes)),
+    )
+
+
 def settings_of(texts: Sequence[Fields]) -> Mapping[str, Any] | None:
     """Return the settings of a training that were saved as a file; None where there are none."""
-    return next((data for data in texts if "env" in data and is_gym_training(Fields(data))), None)
+    return next(
+        (
+            data
+            for data in texts
+            if ("env" in data and is_gym_training(Fields(data)))
+            or {"sim", "decimation", "robot", "observation_space"} <= set(data)
+        ),
+        None,
+    )

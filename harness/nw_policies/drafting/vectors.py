@@ -12,7 +12,8 @@ from dataclasses import dataclass, field, replace
 from itertools import groupby
 
 from nw_base.plural import plural
-from nw_policies.drafting.checkpoint import CheckpointFacts, ExportedTerm, HeightGrid
+from nw_policies.drafting.checkpoint import CheckpointFacts
+from nw_policies.drafting.exporters import ExportedTerm, HeightGrid
 from nw_policies.drafting.layouts import (
     PARKOUR,
     SCANS,

@@ -143,9 +143,9 @@ class Stance:
     length: float
 
 
-def flat_world(robot: RobotSpec) -> World:
-    """Return a robot on level ground."""
-    return World(robot, _FLAT)
+def flat_world(robot: RobotSpec, steps: tuple[float, int] = (0.005, 4)) -> World:
+    """Return a robot on level ground, with a physics step, s, and how many make a control step."""
+    return World(robot, _FLAT, timestep=steps[0], substeps=steps[1])
 
 
 def stance_of(robot: RobotSpec) -> Stance:

@@ -161,7 +161,7 @@ class TrackTask(TimedTask):
             return None
         return TaskFault(
             ("kind",),
-            "the policy tracks no motion: its card has no `reference`",
+            "the policy tracks no motion: its card has no `reference`, and observes none",
             _TRACKS,
         )
 

@@ -1,5 +1,6 @@
 """A suite that names the motion to track: its digest counts for trials, its faults have a place."""
 
+import re
 from types import SimpleNamespace
 
 import pytest
@@ -19,7 +20,6 @@ name: tracker
 robot: go1
 adapter: zero
 control: {action: joint_position_offset, scale: 0.25}
-reference: {anchor: trunk}
 observations:
   motion: {sensor: reference, terms: [joint_positions]}
 """
@@ -109,6 +109,30 @@ def test_what_is_wrong_with_it_is_said_at_its_place(old, new, said, folder):
         load_suite(folder / "suite.yaml")
 
 
+@pytest.mark.parametrize(
+    ("motion", "said"),
+    [
+        pytest.param("0,0,nothing\n", "with commas between", id="no numbers"),
+        pytest.param(f"{STANDING}\n{STANDING[:-3]}x\n", "stand.csv", id="damaged at its end"),
+        pytest.param("0,0,0.3,0,0,0,1,0.1\n" * 3, "has 1 joint without names", id="another robot"),
+        pytest.param("PK\x03\x04 no archive", "not a usable .npz file", id="no archive"),
+    ],
+)
+def test_a_broken_motion_is_a_fault_at_its_line_before_any_trial(motion, said, folder):
+    (folder / "motions" / "stand.csv").write_text(motion)
+    with pytest.raises(SuiteError, match=r"suite.yaml:8:\d+: task.motion.file: ") as error:
+        api.plan(str(folder / "suite.yaml"))
+    assert re.search(said, str(error.value))
+
+
+def test_a_broken_motion_of_the_card_is_a_fault_before_any_trial(folder):
+    changed(folder, ", motion: {file: motions/stand.csv, rate: 1}", "")
+    (folder / "tracker" / "own.csv").write_text("0,0,0.3,0,0,0,1,0.1\n" * 3)
+    (folder / "tracker" / "policy.yaml").write_text(CARD + "reference: {file: own.csv, rate: 1}\n")
+    with pytest.raises(PolicyError, match=r"own\.csv: the motion has 1 joint without names"):
+        api.plan(str(folder / "suite.yaml"))
+
+
 def test_a_run_is_resumed_with_the_motion_that_it_began_with(folder):
     out = folder / "run"
     api.run(str(folder / "suite.yaml"), out=out, workers=1)
@@ -119,10 +143,22 @@ def test_a_run_is_resumed_with_the_motion_that_it_began_with(folder):
     assert len(report.rows) == 2
 
 
+def test_a_motion_that_is_too_large_to_be_one_is_not_read(folder):
+    with (folder / "motions" / "stand.csv").open("wb") as file:
+        file.truncate(2**40)
+    with pytest.raises(SuiteError, match=r"task.motion.file: .* cannot be read: it has .* MiB"):
+        load_suite(folder / "suite.yaml")
+
+
 def test_a_fault_of_the_file_names_the_suite_and_not_the_card(folder):
     changed(folder, ", rate: 1", "")
-    (row,) = api.run(str(folder / "suite.yaml"), out=folder / "run", workers=1).rows
-    assert "add `rate` to the suite's `task.motion`" in row.error_text
+    with pytest.raises(SuiteError, match=r"add `rate` to the suite's `task\.motion`"):
+        api.run(str(folder / "suite.yaml"), out=folder / "run", workers=1)
+    (folder / "tracker" / "own.csv").write_text(f"{STANDING}\n{STANDING}\n")
+    (folder / "tracker" / "policy.yaml").write_text(CARD + "reference: {file: own.csv}\n")
+    changed(folder, ", motion: {file: motions/stand.csv}", "")
+    with pytest.raises(PolicyError, match="add `rate` to the card's `reference`"):
+        api.run(str(folder / "suite.yaml"), out=folder / "run", workers=1)
 
 
 def test_a_suite_that_is_proposed_in_another_folder_has_the_same_task(folder):

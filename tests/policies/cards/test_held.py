@@ -124,7 +124,8 @@ def test_a_card_need_not_name_the_held_joints(card_of):
 
 
 def test_a_checkpoint_of_fewer_joints_is_met_with_those_it_may_drive():
-    from nw_policies.drafting.checkpoint import ArrayFacts, CheckpointFacts, ExporterMetadata
+    from nw_policies.drafting.checkpoint import ArrayFacts, CheckpointFacts
+    from nw_policies.drafting.exporters import ExporterMetadata
     from nw_policies.drafting.some_joints import driven_joints, held_lines, of_joints
 
     def gives(count):

@@ -15,12 +15,9 @@ import pytest
 from nw_base.errors import PolicyError
 from nw_base.files.yaml_file import parse_yaml
 from nw_policies.drafting.beside import believed, read_beside, refuse_another_robot
-from nw_policies.drafting.checkpoint import (
-    CheckpointFacts,
-    ExporterMetadata,
-    read_exporter_metadata,
-)
+from nw_policies.drafting.checkpoint import CheckpointFacts
 from nw_policies.drafting.configs import reader_of
+from nw_policies.drafting.exporters import ExporterMetadata, read_exporter_metadata
 from nw_policies.drafting.fields import Fields, account, is_passed_over
 from nw_policies.drafting.leapp import read_pipeline
 from nw_scenes.robots import get_robot

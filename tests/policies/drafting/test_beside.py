@@ -245,7 +245,9 @@ def test_env_yaml_says_what_its_patterns_say_of_each_joint(card_of):
     assert control.kp == [25] * 4 + [26] * 4 + [27] * 4
     assert control.default_pose == [0.1, -0.1] * 2 + [0.8, 0.8, 1, 1] + [-1.5] * 4
     assert control.scale == [0.125] * 4 + [0.25] * 8
-    assert (control.clip, control.torque_limits, control.rate) == ((-3, 3), 23.5, 50)
+    assert (control.clip, control.torque_limits, control.rate) == (None, 23.5, 50)
+    assert "CHECK: its targets are limited" in text, "which no limit of raw actions says"
+    assert "FL_hip -3 to 3" in text
     assert words(card) == ["ang_vel", "gravity", "command", "joint_pos", "joint_vel", "last_output"]
     seen = card.observations["obs"].frame_terms
     assert (seen[0].scale, seen[3].relative, seen[4].clip) == (0.2, False, (-9, 9))
@@ -348,6 +350,32 @@ DESCRIPTORS = {
     },
     "scene": {"decimation": 8, "dt": 0.04, "physics_dt": 0.005},
 }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("clip", "offset", "limits", "said"),
+    [
+        pytest.param([[-1.0, 2.0]] * 12, [0.5] * 12, (-3, 3), "", id="behind scale and offset"),
+        pytest.param([[-100.0, 100.0]] * 12, [0.1, 0.8, -1.5] * 4, None, "", id="out of reach"),
+        pytest.param(
+            [[-1.0, 1.0], [-2.0, 2.0], [-2.5, -1.0]] * 4,
+            [0.1, 0.8, -1.5] * 4,
+            None,
+            "FL_hip -1 to 1, FL_thigh -2 to 2, FL_calf -2.5 to -1",
+            id="of each joint",
+        ),
+        pytest.param([[1.0]] * 12, [0.0] * 12, (-2, 2), "", id="one number for both sides"),
+        pytest.param("some", [0.0] * 12, None, "clip cannot be read: some", id="no numbers"),
+    ],
+)
+def test_limits_of_targets_are_brought_to_raw_actions_or_named(clip, offset, limits, said, card_of):
+    action = {**DESCRIPTORS["actions"][0], "clip": clip, "offset": offset}
+    file = json.dumps({**DESCRIPTORS, "actions": [action]})
+    text, card = card_of(44, {"IO_descriptors.yaml": file})
+    assert card.control.clip == limits
+    lines = [line for line in text.splitlines() if "CHECK" in line and said in line]
+    assert bool(said) <= bool(lines)
+    assert bool(said) or "targets are limited" not in text
 
 
 def test_io_descriptors_give_joints_terms_and_rates(card_of):

@@ -10,7 +10,7 @@ import math
 
 import pytest
 
-from nw_policies.drafting.checkpoint import read_exporter_metadata
+from nw_policies.drafting.exporters import read_exporter_metadata
 
 NAMES = "base_lin_vel,base_ang_vel,projected_gravity,joint_pos,joint_vel,actions,command"
 MJLAB = {

@@ -2,7 +2,7 @@
 
 import json
 
-from nw_policies.drafting.checkpoint import _holosoma
+from nw_policies.drafting.exporters import _holosoma
 
 G1 = [
     *(f"{side}_{joint}_joint" for side in ("left", "right") for joint in (

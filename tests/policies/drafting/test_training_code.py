@@ -3,6 +3,8 @@
 import pytest
 from tests.policies.drafting.test_beside import GYM, LEFT_FIRST, words
 
+from nw_policies.drafting.feeders import may_feed
+
 REGISTER = """
 from sim.registry import task_registry
 from .go2_config import Go2Cfg, Go2CfgPPO, Go2StairsCfg
@@ -300,6 +302,14 @@ def test_a_register_that_is_too_large_to_be_one_is_not_read(card_of, tmp_path):
     assert "whose code was read" not in text
 
 
+def test_a_checkpoint_that_is_too_large_to_be_one_is_not_read_beside_another(tmp_path):
+    for name, size in (("policy.onnx", 2**40), ("other.onnx", 9)):
+        with (tmp_path / name).open("wb") as file:
+            file.truncate(size)
+    assert may_feed(tmp_path / "policy.onnx") == []
+    assert may_feed(tmp_path / "other.onnx") == []
+
+
 def test_a_frame_of_nothing_is_no_fault_of_the_draft(card_of):
     empty = ENVIRONMENT.replace("self.projected_gravity,", "torch.cat(())[:, :3],")
     text, _ = card_of(270, beside(go2_env=empty), name=CHECKPOINT)
@@ -339,6 +349,30 @@ def test_a_part_that_does_not_begin_at_the_first_number_is_unknown(card_of):
     text, card = draft_with(card_of, "self.actions, imu)", terms, size=147, config=config)
     assert "THESE 2 ZEROS STAND FOR self.commands[:, 1:3]" in text
     assert words(card)[5:8] == ["last_output", "constant", "ang_vel"]
+
+
+@pytest.mark.parametrize(
+    ("method", "is_known"),
+    [
+        pytest.param("return self.dof_vel", True, id="a term"),
+        pytest.param("return now", False, id="what has a name of another method"),
+        pytest.param(f"return {' + '.join(['self.more()'] * 300)}", False, id="itself, many times"),
+    ],
+)
+def test_a_method_that_is_called_gives_what_it_returns(method, is_known, card_of):
+    called = f"class BlindEnv(Robot):\n    def more(self):\n        {method}\n"
+    code = ENVIRONMENT.replace("class BlindEnv(Robot):\n", called)
+    assert "self.dof_vel, self.actions,\n                         self.base" in code
+    code = code.replace("self.dof_vel, self.actions,\n      ", "self.more(), self.actions,\n      ")
+    text, _ = card_of(270, beside(go2_env=code), name=CHECKPOINT)
+    assert ("names its terms" in text) is is_known
+
+
+def test_constants_of_a_module_are_those_that_a_file_imports(card_of):
+    config = "from .stiff import KP\n" + CONFIG.replace("'joint': 20.", "'joint': KP")
+    files = beside(go2_config=config, a_copy="KP = 99.\n", stiff="KP = 21.\n")
+    _, card = card_of(141, files, name=CHECKPOINT)
+    assert card.control.kp == 21
 
 
 @pytest.mark.parametrize("angle", ["2 * torch.pi * phase + torch.pi", "phase", "torch.pi * phase"])

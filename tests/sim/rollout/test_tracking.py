@@ -450,10 +450,20 @@ def test_a_card_names_bodies_and_joints_of_its_robot():
     assert "reference.anchor: the robot go1 has no 'torso'" in text
     assert "reference.bodies: the robot go1 has no 'FR_cal'; did you mean 'FR_calf'" in text
     assert "reference.joints: the robot go1 has no 'hip'" in text
-    del fields["reference"]
-    fields["observations"] = {"a": {"sensor": "reference", "terms": ["phase"]}}
-    with pytest.raises(PolicyError, match="is of a reference motion, and the card names none"):
-        card_of(fields)
+
+
+def test_a_card_that_observes_a_motion_leaves_it_to_suites():
+    fields = {
+        "nw-policy": 1,
+        "name": "tracker",
+        "robot": "go1",
+        "adapter": "zero",
+        "control": {"action": "joint_position_offset", "scale": 0.25},
+        "observations": {"a": {"sensor": "reference", "terms": ["phase"]}},
+    }
+    card = card_of(fields)
+    assert "motion" in card.hears
+    assert card == card_of({**fields, "reference": {}}), "which is the same card"
 
 
 def test_task_and_policy_must_both_be_of_a_motion():

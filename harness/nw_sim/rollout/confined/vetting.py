@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from nw_base.errors import PolicyError
 from nw_base.protocol import STRICT, EvaluationProtocol
 from nw_policies import Bundle, load_bundle
-from nw_policies.cards import physics_steps
+from nw_policies.cards import mounted_robot, physics_steps
 from nw_policies.planned import operator_of
 from nw_scenes.robots import RobotSpec, find_robot, get_robot, know_robot
-from nw_sim.rollout.confined.access import opening_rules, policy_rules
+from nw_sim.rollout.confined.access import opening_rules, policy_rules, running_rules
 from nw_sim.rollout.confined.isolated import TIME_LIMIT, IsolatedCall
 from nw_sim.rollout.confined.start import prepare_for, prepare_kernels
 
 if TYPE_CHECKING:
     from nw_sim.sensors.build import ObservationSpec
+    from nw_sim.tasks.track import Motion
 
 
 def vet_bundle(
@@ -71,6 +72,55 @@ def vet_bundle(
         prepare_kernels()  # Trials may want them, and this process does not.
         operator = call.answer(TIME_LIMIT)
     return bundle.by_its_own_runtime(operator)
+
+
+def vet_motion(bundle: Bundle, robot: str, named: Motion | None = None) -> None:
+    """Put the motion of a suite or of a card on its robot in a confined process, as trials will.
+
+    Args:
+        bundle: of the policy, whose card says anchor and bodies.
+        robot: its name.
+        named: the suite's motion, with an absolute path; None = the card's.
+
+    Raises:
+        PolicyError: the file is no motion, is damaged, or is of another robot.
+    """
+    folder = find_robot(robot).folder
+    files = [None if named is None else Path(named.file), folder]
+    with IsolatedCall(
+        _fit_motion,
+        subject=bundle.where if named is None else named.file,
+        rules=running_rules(bundle, scenes=(), also=[path for path in files if path is not None]),
+        renders=(),
+        arguments={
+            "card": bundle.reference,
+            "checkpoint": None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
+            "robot": robot,
+            "robot_folder": None if folder is None else str(folder),
+            "named": None if named is None else named.model_dump(mode="json"),
+        },
+    ) as call:
+        call.answer(TIME_LIMIT)
+
+
+def _fit_motion(
+    *,
+    card: str,
+    checkpoint: str | None,
+    robot: str,
+    robot_folder: str | None,
+    named: dict[str, Any] | None,
+) -> None:
+    from nw_sim.rollout.referenced import reference_of
+    from nw_sim.survey.course import flat_world
+    from nw_sim.tasks.track import Motion
+
+    know_robot(robot, None if robot_folder is None else Path(robot_folder))
+    bundle = load_bundle(card, checkpoint=None if checkpoint is None else Path(checkpoint))
+    motion = None if named is None else Motion.model_validate(named)
+    own = mounted_robot(get_robot(robot), bundle.card)
+    with flat_world(own, physics_steps(bundle.card, STRICT)) as world:
+        reference_of(bundle, world, bundle.card, motion)
 
 
 def _with_server(bundle: Bundle, robot: str, *, allow_code: bool) -> Bundle:
