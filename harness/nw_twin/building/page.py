@@ -136,7 +136,7 @@ def write_page(
 def _lead(alignment: Alignment, findings: Sequence[SceneFinding]) -> list[str]:
     errors = sum(finding.severity == "error" for finding in findings)
     said = [
-        f"The check found {plural(errors, 'error')}: the scene does not run before they are fixed."
+        f"The check found {plural(errors, 'error')}: the scene does not run until that is fixed."
         if errors
         else "The check found no error."
     ]
@@ -369,7 +369,7 @@ def _known(
             _number(splat, "psnr", "{:.1f} dB"),
             _compared(splat.get("views")),
         ),
-        ("course", *_course(scene, survey)),
+        ("course", *_course(scene, survey, "m" if alignment.is_to_scale else "units")),
     ]
     return Table(
         title="What is known, and how well",
@@ -389,10 +389,10 @@ def _within(share: float | None) -> str:
     return "" if share is None else f"within {share:.1%}"
 
 
-def _course(scene: Scene, survey: Survey | None) -> tuple[str, str]:
+def _course(scene: Scene, survey: Survey | None, unit: str) -> tuple[str, str]:
     line = np.array([scene.spawn.position, *scene.trail])
     length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-    result = f"{length:.1f} m, {plural(len(scene.trail), 'waypoint')}"
+    result = f"{length:.1f} {unit}, {plural(len(scene.trail), 'waypoint')}"
     if survey is None:
         return result, "not surveyed"
     footing = survey.ground.footing
