@@ -163,9 +163,8 @@ def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
 
     for found_scene in plan.found:
         if not is_built_in(found_scene.reference):
-            from nw_sim.survey.course import (
-                course_findings,  # Compiles rays, which others do not need.
-            )
+            # It imports rays and their compiler, which a run of built-in scenes does without.
+            from nw_sim.survey.course import course_findings
 
             for finding in course_findings(found_scene.scene, plan.suite.robot):
                 yield found_scene.scene.name, finding

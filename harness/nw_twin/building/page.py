@@ -10,7 +10,6 @@ import io
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,11 +24,13 @@ from nw_eval.reporting.tables.table import Table
 from nw_scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_scenes.rays import RayScene
 from nw_scenes.robots import get_robot
+from nw_sim.survey.course import CAMERA, camera_poses, course_samples, stance_of
 from nw_splat.camera import Camera
 from nw_splat.files import read_splat
 from nw_twin.align.alignment import Alignment, read_alignment
 from nw_twin.building.unlike import seen_depths, shown_ground
 from nw_twin.capture import Capture, PlacedShot, read_capture, read_picture
+from nw_twin.gaussians.images import rays_of
 from nw_twin.gaussians.rasteriser import Rasteriser
 from nw_twin.place import moved_camera, moved_points
 from nw_twin.reconstruct.depth import read_depth
@@ -152,11 +153,13 @@ def _figures(folder: BuildFolder, scene: Scene, capture: Capture, robot: str) ->
     drawn = _DrawnMesh(mesh, T)
     splat = read_splat(folder.splat / "splat.ply")
     line = np.array([scene.spawn.position, *scene.trail])
-    shot = _shot_of(capture, T, line)
+    samples, spec = course_samples(scene, _EVERY), get_robot(robot)
+    shot = _shot_of(capture, T, samples.points)
     photograph = Image.fromarray(read_picture(shot, folder.capture))
     small = _smaller(shot.camera)
     seen = drawn.seen_by(moved_camera(T, small))
-    own = _eye_at_start(scene, robot)
+    lens = spec.cameras[CAMERA].lens(_LONGEST, _LONGEST * 9 // 16)
+    own = Camera.of(lens, camera_poses(samples, drawn.rays, stance_of(spec))[0])
     eye = moved_camera(np.asarray(np.linalg.inv(T), dtype=np.float64), own)
     rasteriser = Rasteriser(
         antialiased=splat.rasterize_mode != "classic", projection=splat.projection or "ray"
@@ -215,18 +218,19 @@ class _DrawnMesh:
 
     def seen_by(self, camera: Camera) -> F64:
         """Return the picture (H, W, 3) of a camera in the world, 0 to 255."""
-        rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
-        x, y = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
-        ways = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
-        ways = ways @ camera.T_world_camera[:3, :3].T
-        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-        origins = np.broadcast_to(camera.T_world_camera[:3, 3], ways.shape)
-        return self.looked_at(origins, ways)[0].reshape(camera.height, camera.width, 3)
+        ways = rays_of(camera).reshape(-1, 3)
+        colours, _ = self.looked_at(camera.T_world_camera[:3, 3], ways)
+        return colours.reshape(camera.height, camera.width, 3)
 
 
-def _shot_of(capture: Capture, T: F64, line: F64) -> PlacedShot:
-    """Return the shot in which most of a course lies, the nearest of those that show as much."""
-    places = _along(line)
+def _shot_of(capture: Capture, T: F64, places: F64) -> PlacedShot:
+    """Return the shot in which most of a course lies, the nearest of those that show as much.
+
+    Args:
+        capture: with the shots.
+        T: (4, 4) from its frame to the world.
+        places: (N, 3) along the course, world, m.
+    """
 
     def shown(shot: PlacedShot) -> tuple[int, float]:
         camera = moved_camera(T, shot.camera)
@@ -242,40 +246,10 @@ def _shot_of(capture: Capture, T: F64, line: F64) -> PlacedShot:
     return max(capture.shots, key=shown)
 
 
-def _along(line: F64) -> F64:
-    """Return points (N, 3) along a line of waypoints."""
-    parts = [
-        a + np.linspace(0.0, 1.0, max(2, int(np.linalg.norm(b - a) / _EVERY)))[:, None] * (b - a)
-        for a, b in pairwise(line)
-    ]
-    return np.concatenate(parts) if parts else line
-
-
 def _smaller(camera: Camera) -> Camera:
     scale = min(1.0, _LONGEST / max(camera.width, camera.height))
-    return Camera(
-        width=round(camera.width * scale),
-        height=round(camera.height * scale),
-        fx=camera.fx * scale,
-        fy=camera.fy * scale,
-        cx=camera.cx * scale,
-        cy=camera.cy * scale,
-        T_world_camera=camera.T_world_camera,
-        near=camera.near,
-        far=camera.far,
-    )
-
-
-def _eye_at_start(scene: Scene, robot: str) -> Camera:
-    """Return the robot's own camera where it starts, in the world."""
-    spec = get_robot(robot)
-    mount = spec.cameras["ego"]
-    cos, sin = np.cos(scene.spawn.yaw), np.sin(scene.spawn.yaw)
-    T = np.eye(4)
-    T[:2, :2] = [[cos, -sin], [sin, cos]]
-    T[:3, 3] = scene.spawn.position
-    T[2, 3] += spec.spawn_height
-    return Camera.of(mount.lens(_LONGEST, _LONGEST * 9 // 16), T @ mount.T_trunk_camera)
+    size = round(camera.width * scale), round(camera.height * scale)
+    return Camera.of(camera.lens.resized(*size), camera.T_world_camera)
 
 
 def _unknown(photograph: Image.Image, depth: NDArray[np.floating]) -> Image.Image:

@@ -93,17 +93,21 @@ class Photo:
 
     def rays(self) -> NDArray[np.float64]:
         """Return (H, W, 3) unit vectors from the camera through the pixels, in the world."""
-        camera = self.camera
-        y, x = np.mgrid[: camera.height, : camera.width] + 0.5
-        own = [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)]
-        rays = np.einsum("ij,jyx->yxi", camera.T_world_camera[:3, :3], np.stack(own))
-        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        return rays_of(self.camera)
 
     def planes(self) -> F32:
         """Return the picture as (3, H, W) float32, 0 to 1."""
         planes = self.rgb.transpose(2, 0, 1).astype(np.float32, order="C")
         planes *= np.float32(1.0 / 255.0)
         return planes
+
+
+def rays_of(camera: Camera) -> NDArray[np.float64]:
+    """Return (H, W, 3) unit vectors from a camera through the pixels, in the world."""
+    y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+    own = [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)]
+    rays = np.einsum("ij,jyx->yxi", camera.T_world_camera[:3, :3], np.stack(own))
+    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
 def extent_of(photos: Sequence[Photo]) -> float:

@@ -308,7 +308,6 @@ def test_links_to_reused_logs_of_a_ladder_are_the_runs_own(soft, tmp_path):
         check_plain(RunFolder(path=copied))
 
 
-@pytest.mark.nightly
 def test_a_run_without_a_baseline_goes_on_with_one(tmp_path):
     alone = api.run("./steps.yaml", policy="./soft", baseline="none", out=tmp_path / "run")
     assert steps(alone).word is None

@@ -121,7 +121,6 @@ def test_films_are_left_out_where_nobody_wants_them_or_they_cannot_be_drawn(
     assert "Films of stairs/up are missing: " in (late.out / "limits.html").read_text()
 
 
-@pytest.mark.nightly
 def test_pages_over_runs_draw_limits_over_training_steps_and_the_board_has_a_column(tmp_path):
     for step in (100, 200):
         api.limits(
@@ -250,7 +249,6 @@ def test_a_ladder_of_commands_has_trials_of_the_task_velocity(tmp_path):
     assert [row.completed for row in rows] == [False] * 5
 
 
-@pytest.mark.nightly
 def test_on_a_leaderboard_limits_that_were_asked_otherwise_have_columns_of_their_own(
     standing, tmp_path
 ):

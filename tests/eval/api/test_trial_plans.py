@@ -131,7 +131,6 @@ def test_a_baseline_says_how_many_trials_convict_a_drop(suite, baseline):
     assert planned.minutes(60) == pytest.approx((4 + 60 * 0.06 * 6 / 2) / 60)
 
 
-@pytest.mark.nightly
 def test_each_gated_score_is_forecast(suite, baseline, tmp_path):
     gated = tmp_path / "gated.yaml"
     asked = "scores: {mean_power: {max_drop: 60, tolerate: 10, range: [0, 300]}}"

@@ -15,6 +15,7 @@ from nw_policies.cards.load import load_card
 LEFT_FIRST = [
     f"{leg}_{kind}" for leg in ("FL", "FR", "RL", "RR") for kind in ("hip", "thigh", "calf")
 ]
+LEFT_FIRST_POSE = [0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 1, -1.5, -0.1, 1, -1.5]
 BY_TYPE = [f"{leg}_{kind}" for kind in ("hip", "thigh", "calf") for leg in ("FL", "FR", "RL", "RR")]
 MAP = [3, 0, 9, 6, 4, 1, 10, 7, 5, 2, 11, 8]
 """The motor of each joint of BY_TYPE: motors are counted FR, FL, RR, RL, leg by leg."""
@@ -663,20 +664,7 @@ def test_a_pose_that_begins_with_a_right_leg_is_put_into_the_order_of_the_policy
     config += "hip_scale_reduction: 0.5\nclip_actions: 100.0\nclip_observations: 100\n"
     text, card = card_of(45, {"configs/go2.yaml": config}, name="motion.onnx")
     assert card.control.joints == LEFT_FIRST
-    assert card.control.default_pose == [
-        0.1,
-        0.8,
-        -1.5,
-        -0.1,
-        0.8,
-        -1.5,
-        0.1,
-        1,
-        -1.5,
-        -0.1,
-        1,
-        -1.5,
-    ]
+    assert card.control.default_pose == LEFT_FIRST_POSE
     assert card.control.scale == [0.125, 0.25, 0.25] * 4
     assert (card.control.clip, card.observations["obs"].clip) == ((-100, 100), (-100, 100))
     assert "CHECK: the order of the checkpoint: configs/go2.yaml names no order" in text

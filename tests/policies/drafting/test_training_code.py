@@ -1,7 +1,7 @@
 """The code of a training is read as text: its settings, and the terms that it joins."""
 
 import pytest
-from tests.policies.drafting.test_beside import GYM, LEFT_FIRST, words
+from tests.policies.drafting.test_beside import GYM, LEFT_FIRST, LEFT_FIRST_POSE, words
 
 from nw_policies.drafting.feeders import may_feed
 
@@ -173,20 +173,7 @@ def test_loops_over_lists_and_ranges_fill_the_mappings_of_settings(card_of):
     _, card = card_of(
         141, beside(go2_config=CONFIG[:start] + loops + CONFIG[end:]), name=CHECKPOINT
     )
-    assert card.control.default_pose == [
-        0.1,
-        0.8,
-        -1.5,
-        -0.1,
-        0.8,
-        -1.5,
-        0.1,
-        1,
-        -1.5,
-        -0.1,
-        1,
-        -1.5,
-    ]
+    assert card.control.default_pose == LEFT_FIRST_POSE
 
 
 def test_frames_that_follow_the_present_one_are_newest_first(card_of):
